@@ -28,6 +28,7 @@ from hil.config.tables.model import (
     Probability,
     Triple,
 )
+from hil.config.tables.open_table import FileTable
 from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
@@ -754,7 +755,7 @@ class Reachability(ConfigModel):
     """Time in which the axes, at rest at the start pose, must catch up with a start in motion."""
 
 
-class Scenario(ConfigModel):
+class Scenario(FileTable):
     """One closed-loop run, independent of the rig."""
 
     name: Name

@@ -55,12 +55,14 @@ class Part:
     summary: str
     commands: Mapping[str, PartCommand] = field(default_factory=dict)
     """Commands of ``hil`` by name; "recordings place" is added to the commands of ``hil recordings``."""
-    tables: Sequence[str] = ()
-    """Its tables in scenario and rig files, by key: "monitor", "rig.gnc_link"; their models are in ``hil.config``."""
+    tables: Mapping[str, str] = field(default_factory=dict)
+    """Models of its tables in scenario and rig files, by key: "tracker", "rig.tracker"; "" for those in ``hil.config``.
+    A file need not have them: defaults of an absent table are the part's."""
     provides: Mapping[str, str] = field(default_factory=dict)
     """Functions that the core needs, by the setting or the option that needs them."""
-    uses: Callable[[Any, Any], bool] = lambda scenario, rig: False
-    """Whether a run of a scenario on a rig uses the part. The following functions are called for such runs alone."""
+    uses: Callable[[Any, Any], bool] | None = None
+    """Whether a run of a scenario on a rig uses the part; None: if one of the files has a table of it that is not in
+    ``hil.config``. The following functions are called for such runs alone."""
     check_rig: str = ""
     check_run: str = ""
     """Return the problems of a scenario and a rig, as loaded, that prevent any motion, or the run."""
@@ -72,14 +74,23 @@ class Part:
     """What it adds to recordings, by name."""
     viewers: Mapping[str, str] = field(default_factory=dict)
     """Make live viewers of a console, by the names of these: ``Viewer`` in ``hil.console.viewers``."""
-    lines: Mapping[str, str] = field(default_factory=dict)
-    """Return the text of a table of the summary, by the name of the table."""
+    sections: Mapping[str, str] = field(default_factory=dict)
+    """Return the ``Section`` of a table of the summary, by the name of the table: see ``hil.report.section``."""
     kernels: Mapping[str, str] = field(default_factory=dict)
     """Compile a group of kernels, by its name in ``hil warm-up``."""
     opencv: bool = False
     """Whether its kernels need OpenCV."""
     modules: Sequence[str] = ()
     """Packages and modules of which it is made, for the import contract."""
+
+    def tables_in(self, scenario: Any, rig: Any) -> list[str]:
+        """Return the keys of its tables that the files have, without those in ``hil.config``."""
+        extra = [*(scenario.model_extra or {}), *(f"rig.{key}" for key in rig.model_extra or {})]
+        return [key for key in self.tables if key in extra]
+
+    def used_by(self, scenario: Any, rig: Any) -> bool:
+        """Return whether a run of ``scenario`` on ``rig`` uses the part."""
+        return bool(self.tables_in(scenario, rig)) if self.uses is None else self.uses(scenario, rig)
 
     def claims(self) -> Iterator[str]:
         """Yield what no other part may have as well."""
@@ -90,7 +101,7 @@ class Part:
         yield from (f"sink {name}" for name in self.sinks)
         yield from (f"viewer {name}" for name in self.viewers)
         yield from (f"kernels {group}" for group in self.kernels)
-        yield from (f"table {name} of the summary" for name in self.lines)
+        yield from (f"table {name} of the summary" for name in self.sections)
         yield from (f"topic {sink.topic}" for sink in self.sinks.values() if sink.topic)
 
 
@@ -165,7 +176,7 @@ def provided(setting: str, source: str = "hil") -> Any:
 
 def used_parts(scenario: Any, rig: Any) -> list[InstalledPart]:
     """Return the parts that a run of ``scenario`` on ``rig`` uses."""
-    return [each for each in parts().usable.values() if each.part.uses(scenario, rig)]
+    return [each for each in parts().usable.values() if each.part.used_by(scenario, rig)]
 
 
 def declared(name: str) -> dict[str, Any]:

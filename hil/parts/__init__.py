@@ -16,7 +16,7 @@ CORE: Final = Part(
         "run": PartCommand("hil.cli.run:run", "Run one closed loop and print its verdict."),
         "init": PartCommand(
             "hil.cli.init:init",
-            "Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.",
+            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.",
         ),
         "preflight": PartCommand(
             "hil.cli.preflight:preflight",
@@ -160,14 +160,14 @@ MONITOR: Final = Part(
             "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
         ),
     },
-    tables=("monitor", "rig.monitor_camera"),
+    tables={"monitor": "", "rig.monitor_camera": ""},
     provides={"monitor.source": "hil.params.monitor:monitor_sensor"},
     uses=lambda scenario, rig: scenario.monitor.has_images,
     attachments="hil.session.with_docking_monitor:attachments",
     attach="hil.session.with_docking_monitor:attach",
     kernels={"monitor": "hil.session.with_docking_monitor:compile_kernels"},
     opencv=True,
-    lines={"monitor": "hil.report.docking_monitor:monitor_lines"},
+    sections={"monitor": "hil.report.docking_monitor:monitor_section"},
     sinks={
         "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.monitor.results:PORTION_FIELDS"),
         "monitor_images": PartSink(16),
@@ -252,7 +252,7 @@ LINKS: Final = Part(
             "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
         ),
     },
-    tables=("rig.flight_computer", "rig.gnc_link"),
+    tables={"rig.flight_computer": "", "rig.gnc_link": ""},
     provides={"rig.flight_computer.command_words": "hil.gnc_backends.command_words:command_word_gnc"},
     modules=(
         "hil.cli.dss", "hil.cli.gnc", "hil.cli.gnc_check", "hil.drivers.command_words", "hil.frmn.authentication",

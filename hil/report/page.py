@@ -13,6 +13,7 @@ from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
+from hil.report.section import sections_of
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ready_rows, verdict_lines
 from hil.report.verdict import TABLE_V, Verdict, not_required_text, verdict_of
@@ -88,6 +89,8 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):
         yield html.image(title, address)
     yield from _numbers(summary)
+    for section in sections_of(summary):
+        yield from section.html()
     yield from _events(recorded, summary)
     yield from _configuration(recorded)
 
