@@ -15,7 +15,8 @@ BIN := .venv/bin
 
 # packages of the digests in requirements/, and nothing else
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes
-EDITABLE := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+EDITABLE := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+	--editable . --editable plugins/foxglove
 
 # one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
@@ -91,7 +92,7 @@ tidy: .venv/ready
 	$(BIN)/ruff check --fix .
 
 # what runs the program; repeated only after a change of the dependencies
-.venv/run: pyproject.toml requirements/build.txt requirements/run.txt
+.venv/run: pyproject.toml plugins/foxglove/pyproject.toml requirements/build.txt requirements/run.txt
 	$(PYTHON) -m venv .venv
 	$(INSTALL) --requirement requirements/build.txt --requirement requirements/run.txt
 	$(EDITABLE)

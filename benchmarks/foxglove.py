@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.recording.read import load
-from tests.support.foxglove_client import FoxgloveClient
+from plugins.foxglove.tests.foxglove_client import FoxgloveClient
 
 _PERCENTILES = (50.0, 99.0, 100.0)
 _PATIENT = ("rig.console.lease_s=60", "rig.safety.command_age_max_s=10", "vmu.source=rendered")

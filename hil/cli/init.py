@@ -1,44 +1,82 @@
-"""``hil init``: a repository for the tests of a laboratory, with pipelines."""
+"""``hil init``: a repository for the tests of a laboratory, with pipelines, or the package of a part."""
 
 from __future__ import annotations
 
+import keyword
 import os
+import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from hil.core.build_info import VERSION
+from hil.core.part import commands_of, declared, parts
 from hil.core.surroundings import temporary_folder_in
 from hil.errors import BadInput
 
-_TEMPLATE: Final = "lab"
+_NAME: Final = "tracker"
+"""Name of the part in its template."""
 _EXAMPLES: Final = {"gnc/law.py": "lqr.py", "gnc/observer.c": "observer.c"}
 """File of the repository -> example of a backend that it is a copy of."""
 _HIDDEN: Final = "dot_"
 """Beginning of the names of files that begin with a dot in the repository."""
 
 
-def init(folder: str, /) -> int:
+def init(folder: str, /, *, part: str | None = None) -> int:
     """Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.
 
     Parameters
     ----------
     folder
         A new or an empty folder.
+    part
+        Name of a part: write its package instead, with a table, rows, a command, a section of the report and a test.
     """
-    write_repository(Path(folder))
+    if part is None:
+        write_repository(Path(folder))
+    else:
+        write_part(part, Path(folder))
     print(f"{folder}: README.md there names the next commands")  # noqa: T201
     return 0
 
 
 def write_repository(folder: Path) -> None:
     """Write the repository of a laboratory into ``folder``, completely or not at all. Raises BadInput."""
+
+    def write(made: Path) -> None:
+        _copy("lab", made, lambda text: text)
+        inside = _configs() / "backends"  # of an installed package; else those of the checkout
+        examples = inside if inside.is_dir() else _configs().parent / "examples" / "backends"
+        for name, example in _EXAMPLES.items():
+            shutil.copyfile(examples / example, made / name)
+
+    _write(folder, write)
+
+
+def write_part(name: str, folder: Path) -> None:
+    """Write the package of the part ``name`` into ``folder``, completely or not at all. Raises BadInput."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,29}", name) or keyword.iskeyword(name):
+        text = f"{name!r:.60}: allowed are lower-case letters, digits and _, at most 30, with a letter first"
+        raise BadInput.single("--part", "", text)
+    from hil.config.scenario import Scenario  # slow import
+
+    if name in {*parts().usable, *commands_of(), *Scenario.model_fields, *declared("sections")}:
+        raise BadInput.single("--part", "", f"{name}: is the name of a part, command or table of hil, give another")
+    title = "".join(word.capitalize() for word in name.split("_"))
+    _write(
+        folder,
+        lambda made: _copy("part", made, lambda text: text.replace(_NAME, name).replace(_NAME.capitalize(), title)),
+    )
+
+
+def _write(folder: Path, write: Callable[[Path], None]) -> None:
     _check_empty(folder)
     target = Path(os.path.abspath(folder))
     try:
         with temporary_folder_in(target.parent, "init") as temporary:
             made = Path(temporary, target.name)
-            _copy(made)
+            write(made)
             os.replace(made, target)  # of an empty folder, too
     except OSError as error:
         raise BadInput.single("hil init", "", f"{folder}: cannot be written: {error.strerror}") from error
@@ -54,16 +92,18 @@ def _check_empty(folder: Path) -> None:
         raise BadInput.single("hil init", "", f"{folder}: is not empty ({shown}), give a new or an empty folder")
 
 
-def _copy(target: Path) -> None:
+def _copy(name: str, target: Path, named: Callable[[str], str]) -> None:
+    """Copy the template ``name``; named: returns its texts and paths with other names."""
+    template = _configs() / name
+    for source in sorted(path for path in template.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
+        parts_of_path = [part.replace(_HIDDEN, ".", 1) for part in source.relative_to(template).parts]
+        written = target.joinpath(*map(named, parts_of_path))
+        written.parent.mkdir(parents=True, exist_ok=True)
+        text = source.read_text(encoding="utf-8").replace("HIL_VERSION", VERSION)
+        written.write_text(named(text), encoding="utf-8")
+
+
+def _configs() -> Path:
     from hil.config.load import configs_folder  # slow import
 
-    template = configs_folder() / _TEMPLATE
-    for source in sorted(path for path in template.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
-        parts = [part.replace(_HIDDEN, ".", 1) for part in source.relative_to(template).parts]
-        written = target.joinpath(*parts)
-        written.parent.mkdir(parents=True, exist_ok=True)
-        written.write_text(source.read_text(encoding="utf-8").replace("HIL_VERSION", VERSION), encoding="utf-8")
-    inside = configs_folder() / "backends"  # of an installed package; else those of the checkout
-    examples = inside if inside.is_dir() else configs_folder().parent / "examples" / "backends"
-    for name, example in _EXAMPLES.items():
-        shutil.copyfile(examples / example, target / name)
+    return configs_folder()

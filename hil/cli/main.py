@@ -37,7 +37,7 @@ COMMANDS: Final = commands_of()
 
 _EXTRAS: Final = {
     "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
-    "foxglove": "foxglove", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
+    "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
 }  # fmt: skip
 """Package that only some commands need -> the extra that installs it."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
 from hil.core.messages import CYCLE, IMU, MAX_POSES, POSE, TRUTH, new
-from hil.core.part import imported, part_kernels
+from hil.core.part import declared, imported
 from hil.params import dynamics as dynamics_params
 from hil.session.assembly import Job, make_gnc
 from hil.session.compiled import mark_kernels_cached
@@ -111,7 +111,7 @@ def groups() -> dict[str, Callable[[], None]]:
     ``gnc`` and ``stages`` are those of the cycle; then the compiled ``loop``, and the checks before a run with its
     ``verdict``; the others are those of parts.
     """
-    return _GROUPS | {name: lambda path=path: imported(path)() for name, path in part_kernels().items()}
+    return _GROUPS | {name: lambda path=path: imported(path)() for name, path in declared("kernels").items()}
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from rich.console import Console
 from hil.cli.options import File, Flag, Group, OptionalCase, RunOptions, refuse, refuse_wires_in_use
 from hil.cli.output import say, write_json
 from hil.cli.progress import ProgressBar
-from hil.core.part import imported, part_lines, provided
+from hil.core.part import provided
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -121,6 +121,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     """Run a checked job and print its verdict; return the exit code. json: file for its numbers, - for stdout."""
     from hil.api.runs import run_job
     from hil.report.results import RunResults
+    from hil.report.section import sections_of
     from hil.report.table import render
 
     announce = partial(say, console=console, style="dim")
@@ -136,9 +137,8 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
         render(RunResults.of(summary), completed.verdict, completed.scenario.requirements, Console())
-        for table, lines in part_lines().items():
-            if table in summary:
-                print("\n".join(imported(lines)(summary[table])))  # noqa: T201
+        for section in sections_of(summary):
+            print("\n".join(section.text()))  # noqa: T201
     if summary["faults"]:
         print(f"safe stop: {completed.stop}", file=sys.stderr)  # noqa: T201
     if json is not None:

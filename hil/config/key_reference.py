@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.model import Live
+from hil.config.tables.open_table import FileTable
 from hil.config.tables.units import UNITS, split
 from hil.errors import BadInput
 
@@ -109,7 +110,13 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
     kind = " or ".join(dict.fromkeys(_type(each) for each in options))
     live = [f"{each.low:g} to {each.high:g} during a run" for each in field.metadata if isinstance(each, Live)]
     allowed = "; ".join(filter(None, (_allowed(option), *live)))
-    return KeyRow(name, kind, unit_of(name, kind), allowed, default, meanings(model).get(name, ""))
+    try:
+        unit = unit_of(name, kind)
+    except ValueError:
+        if model.__module__.startswith("hil."):
+            raise
+        unit = ""  # a part's own name
+    return KeyRow(name, kind, unit, allowed, default, meanings(model).get(name, ""))
 
 
 def unit_of(name: str, kind: str) -> str:
@@ -163,7 +170,7 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings under the fields of a model, inherited ones included, as one line each."""
     texts: dict[str, str] = {}
     for base in reversed(model.__mro__):
-        if not (issubclass(base, BaseModel) and base.__module__.startswith("hil.")):
+        if base is BaseModel or not issubclass(base, BaseModel):
             continue
         (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
         assert isinstance(node, ast.ClassDef)
@@ -183,14 +190,17 @@ class KeyMatch(NamedTuple):
 
 
 def all_keys() -> list[KeyMatch]:
-    """Return each key of scenario and rig files at each of its places; keys of a rig begin with ``rig.``."""
-    matches = []
-    for file, root, prefix in (("scenario", Scenario, ""), ("rig", Rig, "rig.")):
-        for table in tables(root):
-            for path in table.places:
-                start = f"{prefix}{path}." if path else prefix
-                matches += [KeyMatch(f"{start}{row.name}", file, row) for row in _rows_of(table)]
-    return matches
+    """Return each key of scenario and rig files at each of its places, those of parts included; those of a rig begin
+    with ``rig.``."""
+    roots: tuple[tuple[str, type[FileTable]], ...] = (("scenario", Scenario), ("rig", Rig))
+    return [
+        KeyMatch(".".join(filter(None, (root.prefix.rstrip("."), key, place, row.name))), file, row)
+        for file, root in roots
+        for key, model in ({"": root} | root.added_tables()).items()
+        for table in tables(model)
+        for place in table.places
+        for row in _rows_of(table)
+    ]
 
 
 def _rows_of(table: KeyTable) -> list[KeyRow]:

@@ -22,10 +22,11 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.tables.body import CentralBody
 from hil.config.tables.dispersions import Dispersions
-from hil.config.tables.driver_registry import DeviceTable, model_of_field
+from hil.config.tables.driver_registry import DeviceTable
 from hil.config.tables.fmu_mapping import FmuMapping
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
 from hil.config.tables.model import ConfigModel
+from hil.config.tables.open_table import FileTable, OpenTable, model_of_field
 from hil.config.tables.sensors import by_name
 from hil.config.tables.units import converted, split
 from hil.config.vmu_frame import VmuFrame
@@ -368,7 +369,7 @@ def _problems(
     error: ValidationError, model: type[BaseModel], table: Table, source: str, origin: Mapping[str, str], prefix: str
 ) -> list[Problem]:
     problems = []
-    faults = [*_of_one_type(error.errors(), table), *_unknown_in_devices(error, model, table)]
+    faults = [*_of_one_type(error.errors(), table), *_unknown_in_open_tables(error, model, table)]
     missing = [".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"]
     if len(missing) > _MISSING_SHOWN:
         shown = ", ".join(f"{prefix}{key}" for key in missing[:_MISSING_SHOWN])
@@ -449,10 +450,13 @@ def _keys_of(location: Sequence[str | int], table: Table) -> list[str | int]:
     return keys
 
 
-def _unknown_in_devices(error: ValidationError, model: type[BaseModel], table: Table) -> list[dict[str, Any]]:
-    """Return the unknown keys of devices' tables that pydantic did not reach because of other faults in the table."""
+def _unknown_in_open_tables(error: ValidationError, model: type[BaseModel], table: Table) -> list[dict[str, Any]]:
+    """Return the unknown keys of open tables that pydantic did not reach because of other faults in the table."""
     reported = {fault["loc"] for fault in error.errors()}
-    found = []
+    found: list[dict[str, Any]] = []
+    if issubclass(model, FileTable):
+        unknown = model.unknown_keys(table)
+        found += [{"type": "extra_forbidden", "loc": (key,), "input": table[key]} for key in unknown]
     for device in model.model_fields:
         inner, device_model = table.get(device), model_of_field(model, device)
         if not isinstance(inner, dict) or device_model is None or not issubclass(device_model, DeviceTable):
@@ -498,6 +502,10 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
     parent = _model_at(model, location[:-1])
     known = sorted(parent.model_fields) if parent is not None else []
     key = location[-1]
+    of_part = ""
+    if parent is not None and issubclass(parent, FileTable):
+        known = sorted([*known, *parent.added_tables()])
+        of_part = "; or the table of a part that is not installed, see hil list parts" * isinstance(value, dict)
     if meant := converted(key, value, known):
         return f"unknown key: did you mean {meant}?"
     stem = split(key)[0]
@@ -506,7 +514,7 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
         return f"unknown key: the unit is part of the name, here it is {' or '.join(same_stem)}"
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key: {hint}known here: {', '.join(known)}"
+    return f"unknown key: {hint}known here: {', '.join(known)}{of_part}"
 
 
 def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:
@@ -517,7 +525,7 @@ def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel
         if current is None:
             return None
         field = current.model_fields.get(key)
-        current = current.model_of(key) if issubclass(current, DeviceTable) else model_of_field(current, key)
+        current = current.model_of(key) if issubclass(current, OpenTable) else model_of_field(current, key)
         if field is not None and get_origin(field.annotation) is dict:
             next(keys, None)  # the name that the file gives to one of the tables
     return current

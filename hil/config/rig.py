@@ -24,6 +24,7 @@ from hil.config.tables.host import (
 from hil.config.tables.io import Io
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.tables.open_table import FileTable
 from hil.config.tables.rail_map import RailMap
 from hil.config.tables.rail_wires import ModbusRtu
 from hil.config.tables.sign_off import SignOff
@@ -717,8 +718,10 @@ class Safety(ConfigModel):
     """Speed of a jog, of the axis' limit; at most 0.02 of it before the axis is homed."""
 
 
-class Rig(ConfigModel):
+class Rig(FileTable):
     """One bench."""
+
+    prefix: ClassVar = "rig."
 
     name: Name
     """Name in reports."""

@@ -30,6 +30,7 @@ from hil.config.tables.model import (
     Probability,
     Triple,
 )
+from hil.config.tables.open_table import FileTable
 from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
@@ -777,7 +778,7 @@ class LiveTuning(ConfigModel):
         return value
 
 
-class Scenario(ConfigModel):
+class Scenario(FileTable):
     """One closed-loop run, independent of the rig."""
 
     name: Name

@@ -55,12 +55,14 @@ class Part:
     summary: str
     commands: Mapping[str, PartCommand] = field(default_factory=dict)
     """Commands of ``hil`` by name; "recordings place" is added to the commands of ``hil recordings``."""
-    tables: Sequence[str] = ()
-    """Its tables in scenario and rig files, by key: "monitor", "rig.gnc_link"; their models are in ``hil.config``."""
+    tables: Mapping[str, str] = field(default_factory=dict)
+    """Models of its tables in scenario and rig files, by key: "tracker", "rig.tracker"; "" for those in ``hil.config``.
+    A file need not have them: defaults of an absent table are the part's."""
     provides: Mapping[str, str] = field(default_factory=dict)
     """Functions that the core needs, by the setting or the option that needs them."""
-    uses: Callable[[Any, Any], bool] = lambda scenario, rig: False
-    """Whether a run of a scenario on a rig uses the part. The following functions are called for such runs alone."""
+    uses: Callable[[Any, Any], bool] | None = None
+    """Whether a run of a scenario on a rig uses the part; None: if one of the files has a table of it that is not in
+    ``hil.config``. The following functions are called for such runs alone."""
     check_rig: str = ""
     check_run: str = ""
     """Return the problems of a scenario and a rig, as loaded, that prevent any motion, or the run."""
@@ -70,14 +72,25 @@ class Part:
     """Returns texts for a recording by their names, for a scenario and a rig."""
     sinks: Mapping[str, PartSink] = field(default_factory=dict)
     """What it adds to recordings, by name."""
-    lines: Mapping[str, str] = field(default_factory=dict)
-    """Return the text of a table of the summary, by the name of the table."""
+    viewers: Mapping[str, str] = field(default_factory=dict)
+    """Make live viewers of a console, by the names of these: ``Viewer`` in ``hil.parts.console.viewers``."""
+    sections: Mapping[str, str] = field(default_factory=dict)
+    """Return the ``Section`` of a table of the summary, by the name of the table: see ``hil.report.section``."""
     kernels: Mapping[str, str] = field(default_factory=dict)
     """Compile a group of kernels, by its name in ``hil warm-up``."""
     opencv: bool = False
     """Whether its kernels need OpenCV."""
     modules: Sequence[str] = ()
     """Packages and modules of which it is made besides ``hil.parts.NAME``, for the import contract."""
+
+    def tables_in(self, scenario: Any, rig: Any) -> list[str]:
+        """Return the keys of its tables that the files have, without those in ``hil.config``."""
+        extra = [*(scenario.model_extra or {}), *(f"rig.{key}" for key in rig.model_extra or {})]
+        return [key for key in self.tables if key in extra]
+
+    def used_by(self, scenario: Any, rig: Any) -> bool:
+        """Return whether a run of ``scenario`` on ``rig`` uses the part."""
+        return bool(self.tables_in(scenario, rig)) if self.uses is None else self.uses(scenario, rig)
 
     def claims(self) -> Iterator[str]:
         """Yield what no other part may have as well."""
@@ -86,8 +99,9 @@ class Part:
         yield from (f"table [{key}]" for key in self.tables)
         yield from (f"setting {key}" for key in self.provides)
         yield from (f"sink {name}" for name in self.sinks)
+        yield from (f"viewer {name}" for name in self.viewers)
         yield from (f"kernels {group}" for group in self.kernels)
-        yield from (f"table {name} of the summary" for name in self.lines)
+        yield from (f"table {name} of the summary" for name in self.sections)
         yield from (f"topic {sink.topic}" for sink in self.sinks.values() if sink.topic)
 
 
@@ -147,8 +161,7 @@ def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
 
 def commands_of(group: str = "") -> dict[str, PartCommand]:
     """Return the commands of all parts, or those that parts add to the commands of ``group``: "recordings place"."""
-    every = {name: command for each in parts().usable.values() for name, command in each.part.commands.items()}
-    within = {name: command for name, command in every.items() if name.rpartition(" ")[0] == group}
+    within = {name: command for name, command in declared("commands").items() if name.rpartition(" ")[0] == group}
     return {name.rpartition(" ")[2]: command for name, command in within.items()}
 
 
@@ -163,23 +176,18 @@ def provided(setting: str, source: str = "hil") -> Any:
 
 def used_parts(scenario: Any, rig: Any) -> list[InstalledPart]:
     """Return the parts that a run of ``scenario`` on ``rig`` uses."""
-    return [each for each in parts().usable.values() if each.part.uses(scenario, rig)]
+    return [each for each in parts().usable.values() if each.part.used_by(scenario, rig)]
+
+
+def declared(name: str) -> dict[str, Any]:
+    """Return what all parts declare under ``name``, by its keys: "kernels", "viewers"."""
+    return {key: value for each in parts().usable.values() for key, value in getattr(each.part, name).items()}
 
 
 @cache
 def part_sinks() -> dict[str, PartSink]:
     """Return the sinks of all parts by name."""
-    return {name: sink for each in parts().usable.values() for name, sink in each.part.sinks.items()}
-
-
-def part_lines() -> dict[str, str]:
-    """Return the import paths of what writes tables of the summary as text, by their names, of all parts."""
-    return {table: path for each in parts().usable.values() for table, path in each.part.lines.items()}
-
-
-def part_kernels() -> dict[str, str]:
-    """Return the import paths of what compiles each group of kernels of all parts."""
-    return {group: path for each in parts().usable.values() for group, path in each.part.kernels.items()}
+    return declared("sinks")
 
 
 def without_opencv() -> list[str]:

@@ -16,7 +16,7 @@ CORE: Final = Part(
         "run": PartCommand("hil.cli.run:run", "Run one closed loop and print its verdict."),
         "init": PartCommand(
             "hil.cli.init:init",
-            "Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.",
+            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.",
         ),
         "preflight": PartCommand(
             "hil.cli.preflight:preflight",
@@ -147,14 +147,14 @@ MONITOR: Final = Part(
             "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
         ),
     },
-    tables=("monitor", "rig.monitor_camera"),
+    tables={"monitor": "", "rig.monitor_camera": ""},
     provides={"monitor.source": "hil.parts.monitor.params:monitor_sensor"},
     uses=lambda scenario, rig: scenario.monitor.has_images,
     attachments="hil.parts.monitor.session:attachments",
     attach="hil.parts.monitor.session:attach",
     kernels={"monitor": "hil.parts.monitor.session:compile_kernels"},
     opencv=True,
-    lines={"monitor": "hil.parts.monitor.report:monitor_lines"},
+    sections={"monitor": "hil.parts.monitor.report:monitor_section"},
     sinks={
         "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.parts.monitor.results:PORTION_FIELDS"),
         "monitor_images": PartSink(16),
@@ -171,8 +171,7 @@ CONSOLE: Final = Part(
         ),
         "operators": PartCommand("hil.parts.console.cli.operators:app", "Keys of the operators of a console."),
     },
-    modules=("hil.recording.foxglove_server",),
-)  # fmt: skip
+)
 
 EMULATION: Final = Part(
     name="emulation",
@@ -222,7 +221,7 @@ LINKS: Final = Part(
             "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
         ),
     },
-    tables=("rig.flight_computer", "rig.gnc_link"),
+    tables={"rig.flight_computer": "", "rig.gnc_link": ""},
     provides={"rig.flight_computer.command_words": "hil.parts.links.command_words:command_word_gnc"},
 )  # fmt: skip
 
@@ -235,7 +234,6 @@ FMI: Final = Part(
             "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
         ),
     },
-    tables=("models",),
     provides={
         "gnc.fmu": "hil.parts.fmi.isolated:open_fmu",
         "backend in an FMU": "hil.parts.fmi.backend:FmuBackend",

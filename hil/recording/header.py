@@ -14,7 +14,7 @@ from hil.core.arithmetic import formula_versions
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
-from hil.core.part import hooks, used_parts
+from hil.core.part import hooks, parts
 from hil.params.sensors import sensors_of
 from hil.recording import audit
 from hil.recording.schema import HELD_FILE, PARTS_FILE, SENSORS_FILE, VERSION
@@ -73,17 +73,14 @@ def _calibrations(job: Job) -> dict[str, str]:
     """Return what parts assume of cameras and targets, and what the rows of sensors and held axes mean."""
     scenario, rig = job.scenario.value, job.rig.value
     files: dict[str, str] = {}
-    if used := used_parts(scenario, rig):
-        files[PARTS_FILE] = json.dumps(
-            {
-                each.part.name: {
-                    "version": each.version,
-                    "origin": each.origin,
-                    "topics": [sink.topic for sink in each.part.sinks.values() if sink.topic],
-                }
-                for each in used
-            }
-        )
+    about = {}
+    for part, version, origin in parts().usable.values():
+        tables, used = part.tables_in(scenario, rig), part.used_by(scenario, rig)
+        if tables or used:
+            topics = [sink.topic for sink in part.sinks.values() if sink.topic and used]
+            about[part.name] = {"version": version, "origin": origin, "topics": topics, "tables": tables}
+    if about:
+        files[PARTS_FILE] = json.dumps(about)
     for attachments in hooks("attachments", scenario, rig):
         files |= attachments(scenario, rig)
     if sensors_of(scenario):

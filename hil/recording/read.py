@@ -24,6 +24,7 @@ from pydantic import ValidationError
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.model import ConfigModel
+from hil.config.tables.open_table import FileTable
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
@@ -357,7 +358,15 @@ def _missing_parts(recording: Contents) -> Iterator[str]:
     for name, part in _table(recording.path, schema.PARTS_FILE, recording.files[schema.PARTS_FILE]).items():
         if name not in parts_of_program().usable:
             origin = f"{part.get('origin')} {part.get('version')}" if isinstance(part, dict) else "unknown"
-            yield f"{recording.path}: part {name} of package {origin} is not installed: rows not read, see hil export"
+            text = f"part {name} of package {origin} is not installed: its rows and tables are not read"
+            yield f"{recording.path}: {text}"
+
+
+def _absent_tables(path: Path, files: dict[str, str], model: type[FileTable]) -> set[str]:
+    """Return the keys of the tables that parts added to a recorded file of ``model`` and that no installed part has."""
+    recorded = _table(path, schema.PARTS_FILE, files.get(schema.PARTS_FILE, "{}")).values()
+    keys = [key for part in recorded if isinstance(part, dict) for key in part.get("tables", ()) if model.owns(key)]
+    return {key.removeprefix(model.prefix) for key in keys} - {*model.added_tables()}
 
 
 def load_without_rows(path: Path) -> Recorded:
@@ -479,6 +488,8 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
         content = _table(path, name, files[name])
+        if issubclass(model, FileTable):
+            content = {key: each for key, each in content.items() if key not in _absent_tables(path, files, model)}
         return model.model_validate_json(json.dumps(with_present_names(model.__name__, content)))
     except ValidationError as error:
         first = error.errors()[0]

@@ -70,7 +70,7 @@ RECORDS: Final[dict[str, tuple[str, Fields]]] = {
 }
 """Topic -> name of its schema and fields of its messages, without those of parts."""
 PARTS_FILE: Final = "parts.json"
-"""Attachment: parts that the run used, by name, with version, package and topics."""
+"""Attachment: parts that the run used, by name, with version, package, topics, and tables in scenario and rig."""
 
 
 @cache

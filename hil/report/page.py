@@ -14,6 +14,7 @@ from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
 from hil.report.results import Navigation, RunResults
+from hil.report.section import sections_of
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ready_rows, verdict_lines
 from hil.report.verdict import TABLE_V, Verdict, verdict_of
@@ -89,6 +90,8 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):
         yield html.image(title, address)
     yield from _numbers(results)
+    for section in sections_of(recorded.summary or {}):
+        yield from section.html()
     yield from _events(recorded, results)
     yield from _configuration(recorded)
 

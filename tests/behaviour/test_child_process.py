@@ -225,20 +225,21 @@ def test_a_program_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch)
         start()
 
 
-def test_every_module_that_is_started_exists_and_every_module_of_processes_is_started() -> None:
-    folder = Path(hil.__file__).parent
-    sources = "".join(
-        path.read_text() for path in sorted(folder.rglob("*.py")) if path.parent.name not in ("processes", "parts")
-    )
-    started = set(re.findall(r'"(hil\.processes\.\w+)"', sources))
-    children = {f"hil.processes.{path.stem}" for path in (folder / "processes").glob("*.py")}
-    assert started == children - {
-        "hil.processes.__init__",
-        "hil.parts.links.gnc_server",
-        "hil.parts.links.binary_gnc_server",
+def test_every_module_that_is_started_exists_and_every_module_with_a_parent_is_started() -> None:
+    package = Path(hil.__file__).parent
+    sources = {path: path.read_text() for path in sorted(package.rglob("*.py"))}
+    started = {
+        name for text in sources.values() for name in re.findall(r'"(hil\.[\w.]+)"', text) if name in children(sources)
     }
+    assert started == children(sources) - {"hil.parts.links.gnc_server", "hil.parts.links.binary_gnc_server"}
     for name in sorted(started):
         importlib.import_module(name)
+
+
+def children(sources: dict[Path, str]) -> set[str]:
+    """Return the modules of ``sources`` that are programs of child processes."""
+    programs = [path for path, text in sources.items() if "Parent(" in text and "__main__" in text]
+    return {".".join(path.relative_to(Path(hil.__file__).parents[1]).with_suffix("").parts) for path in programs}
 
 
 @pytest.mark.parametrize("belt", ["end of stdin", "held"])

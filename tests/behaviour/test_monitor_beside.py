@@ -20,7 +20,7 @@ from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Reader, Ring
 from hil.frmn.search_region import SearchRegion
-from hil.parts.monitor.report import judge_monitor, monitor_lines
+from hil.parts.monitor.report import judge_monitor, monitor_section
 from hil.parts.monitor.results import PORTION
 from hil.parts.monitor.setup import MonitorOutcome, MonitorProcess, MonitorRings, monitor_recorded
 from hil.session import build
@@ -151,7 +151,7 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
     assert found["quantities"]["range_m"]["truth"]["rms"] < 2e-3
     # a thruster that fires within a portion changes the rate by more than its sigma; see docs/how-to/docking-monitor.md
     assert found["quantities"]["range_rate_mps"]["truth"]["rms"] < 2e-3
-    assert monitor_lines(found)[0].startswith("Monitor     atv: 76 frames")
+    assert monitor_section(found).text()[0].startswith("Monitor     atv: 76 frames")
 
 
 def test_wrong_mounting_shows_as_many_sigmas(
@@ -167,7 +167,7 @@ def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario
     found = judge_monitor(MonitorOutcome("atv"), np.zeros(0, CYCLE), scenario, rig)
     assert (found["frames"], found["portions"], found["longest_gap_s"]) == (0, 0, None)
     assert all(each is None for figures in found["quantities"].values() for each in figures.values())
-    assert len(monitor_lines(found)) > 2
+    assert len(monitor_section(found).text()) > 2
 
 
 def test_run_without_monitor_has_none(rig: Rig) -> None:

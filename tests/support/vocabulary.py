@@ -28,6 +28,8 @@ ALL = (
     "configs",
     "examples",
     "hil",
+    "plugins/foxglove/README.md",
+    "plugins/foxglove/hil_foxglove",
     "sims",
     "tests",
 )

@@ -15,7 +15,7 @@ NAMED_FILE = re.compile(
 )
 BUILT = ("generated", "notebooks")
 PAGES = sorted(
-    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"]
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md", *ROOT.glob("plugins/*/README.md")]
     + [page for page in DOCS.rglob("*.md") if not set(BUILT) & set(page.parts)]
 )
 MADE = {DOCS / generate.FOLDER / f"{name}.md" for name in generate.PAGES}

@@ -68,7 +68,7 @@ def test_extra_named_for_a_missing_package_installs_it_and_is_in_all() -> None:
     for package, extra in _EXTRAS.items():
         assert extra in extras
         assert extra == "dev" or extra in everything
-        name = {"cv2": "opencv", "foxglove": "foxglove-sdk"}.get(package, package)
+        name = {"cv2": "opencv"}.get(package, package)
         assert any(name in requirement for requirement in extras[extra]), package
 
 
@@ -94,7 +94,7 @@ def test_what_is_installed_has_its_digest_checked() -> None:
 
 def test_modules_with_tests_by_the_wall_clock_are_listed_with_the_reason() -> None:
     listed = {name for names in BY_THE_WALL_CLOCK.values() for name in names.split()}
-    tests = (ROOT / "tests").rglob("test_*.py")
+    tests = [path for folder in ("tests", "plugins") for path in (ROOT / folder).rglob("test_*.py")]
     marker = r"^(@|pytestmark = .*)pytest\.mark\.wires\b|^    +.*pytest\.mark\.wires[],]"
     assert listed == {path.stem for path in tests if re.search(marker, path.read_text(encoding="utf-8"), re.MULTILINE)}
 

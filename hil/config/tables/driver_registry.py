@@ -11,18 +11,18 @@ An entry is imported when a rig file selects its driver, its driver and emulator
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, ClassVar, Final, Literal, Self, get_args
+from typing import Any, ClassVar, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, field_validator, model_validator
 
 from hil.config.tables.model import ConfigModel
+from hil.config.tables.open_table import OpenTable, model_of_field
 from hil.errors import BadInput
 
 Device = Literal["rails", "turntable", "vmu", "io"]
@@ -196,13 +196,11 @@ def _imported(path: str) -> Any:
     return getattr(import_module(module), name)
 
 
-class DeviceTable(ConfigModel):
+class DeviceTable(OpenTable):
     """Table of a device in a rig file. ``driver`` selects the driver, whose own settings are in ``[DEVICE.DRIVER]``.
 
     The table of a driver of another package is validated by the model in that driver's entry.
     """
-
-    model_config = ConfigDict(extra="allow")  # tables of drivers; ``_validate_drivers`` rejects all others
 
     device: ClassVar[Device]
     without_wires: ClassVar[tuple[str, ...]] = ("mock",)
@@ -261,19 +259,12 @@ class DeviceTable(ConfigModel):
         return table
 
     @classmethod
-    def model_of(cls, key: str) -> type[BaseModel] | None:
-        """Return the model of the table ``key``, a field's or a registered driver's; None for other keys."""
-        if key in cls.model_fields:
-            return model_of_field(cls, key)
+    def added_model(cls, key: str) -> type[BaseModel] | None:
+        """Return the model of the table of the registered driver ``key``; None for other keys."""
         try:
             return driver_entry(cls.device, key).settings
         except ValueError:
             return None
-
-    @classmethod
-    def unknown_keys(cls, keys: Iterable[str]) -> list[str]:
-        """Return the ``keys`` that are neither fields nor tables of registered drivers."""
-        return [key for key in keys if key not in cls.model_fields and cls.model_of(key) is None]
 
     @field_validator("driver")
     @classmethod
@@ -283,40 +274,13 @@ class DeviceTable(ConfigModel):
         return value
 
     @model_validator(mode="after")
-    def _validate_drivers(self) -> Self:
+    def _validate_driver(self) -> Self:
         tables = self.__pydantic_extra__
         assert tables is not None
-        unknown = self.unknown_keys(tables)
-        if unknown:
-            faults: list[Any] = [{"type": "extra_forbidden", "loc": (key,), "input": tables[key]} for key in unknown]
-            raise ValidationError.from_exception_data(type(self).__name__, faults)
-        if self.has_wires and self.entry.settings is not None:
-            tables.setdefault(self.driver, {})
-        for key, table in tables.items():
-            tables[key] = self._validated(key, table)
+        if self.has_wires and self.entry.settings is not None and self.driver not in tables:
+            tables[self.driver] = self._validated(self.driver, {})
         self.check_driver()
         return self
-
-    @classmethod
-    def _validated(cls, key: str, table: Any) -> BaseModel:
-        if isinstance(table, BaseModel):
-            return table
-        model = cls.model_of(key)
-        assert model is not None
-        try:
-            return model.model_validate_json(json.dumps(table))  # as strict as the rig file itself
-        except ValidationError as error:
-            faults: list[Any] = [{**fault, "loc": (key, *fault["loc"])} for fault in error.errors(include_url=False)]
-            raise ValidationError.from_exception_data(cls.__name__, faults) from error
-
-
-def model_of_field(model: type[BaseModel], key: str) -> type[BaseModel] | None:
-    """Return the model of the table in the field ``key``, None if there is no such field or it is no table."""
-    if key not in model.model_fields:
-        return None
-    annotation = model.model_fields[key].annotation
-    candidates = [annotation, *get_args(annotation)]
-    return next((each for each in candidates if isinstance(each, type) and issubclass(each, BaseModel)), None)
 
 
 def _inner(table: ConfigModel, path: Sequence[str]) -> object:

@@ -7,7 +7,7 @@ import hmac
 import json
 import signal
 import traceback
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -19,12 +19,12 @@ from starlette.requests import HTTPConnection
 
 from hil.core.files import parse_json
 from hil.core.operator_keys import OperatorKey, new_challenge, new_key
-from hil.parts.console.foxglove_clients import FoxgloveClients
 from hil.parts.console.lease import RequestRejected
 from hil.parts.console.live_view import Client
 from hil.parts.console.message import pack
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.strangers import Access, FairSlots, GuessLimiter
+from hil.parts.console.viewers import Viewer
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
@@ -47,17 +47,17 @@ def make_app(
     service: ConsoleService,
     access: Access,
     hosts: frozenset[str] | None,
-    foxglove: FoxgloveClients | None = None,
+    viewers: Sequence[Viewer] = (),
 ) -> FastAPI:
     """Return the application. access: what is required of each client. hosts: host names accepted in requests,
-    None for any; on loopback they prevent access by other sites' pages through a rebound name. foxglove: clients that
-    ``service`` serves as well."""
+    None for any; on loopback they prevent access by other sites' pages through a rebound name. viewers: served by
+    ``service`` as well."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        if foxglove is not None:
-            foxglove.attach(service)
-        ticking = asyncio.create_task(_keep_ticking(service, updated, foxglove))
+        for viewer in viewers:
+            viewer.attach(service)
+        ticking = asyncio.create_task(_keep_ticking(service, updated, viewers))
         ticking.add_done_callback(_exit_on_error)
         yield
         ticking.cancel()
@@ -91,11 +91,11 @@ def make_app(
     return app
 
 
-async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition, foxglove: FoxgloveClients | None) -> None:
+async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition, viewers: Sequence[Viewer]) -> None:
     while True:
         service.tick()
-        if foxglove is not None:
-            foxglove.tick()
+        for viewer in viewers:
+            viewer.tick()
         async with updated:
             updated.notify_all()
         await asyncio.sleep(TICK_S)

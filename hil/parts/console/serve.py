@@ -7,7 +7,7 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,9 +15,9 @@ from typing import Final
 from hil.config.load import shipped
 from hil.core.files import KIB, MIB, check_regular, read_private_text
 from hil.errors import BadInput, Problem
-from hil.parts.console.foxglove_clients import FoxgloveClients
 from hil.parts.console.session import Choice
 from hil.parts.console.strangers import Access
+from hil.parts.console.viewers import Viewer
 
 _CERTIFICATE_BYTES: Final = MIB
 _CONNECTIONS_MAX: Final = 128
@@ -98,9 +98,9 @@ def serve(
     access: Access,
     log: Callable[[str], None],
     tls: Tls | None = None,
-    foxglove: FoxgloveClients | None = None,
+    viewers: Sequence[Viewer] = (),
 ) -> None:
-    """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first. foxglove: further clients."""
+    """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first. viewers: served as well."""
     import uvicorn
 
     from hil.parts.console.app import make_app
@@ -115,7 +115,7 @@ def serve(
     logging.getLogger("uvicorn.error").addFilter(lambda record: not str(record.msg).startswith("Invalid UTF-8"))
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
-        make_app(service, access, hosts, foxglove),
+        make_app(service, access, hosts, viewers),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",

@@ -16,6 +16,7 @@ from hil.parts.monitor.kernels.quantities import of_chaser, of_measured_pose, qu
 from hil.parts.monitor.params import mounting
 from hil.parts.monitor.results import QUANTITIES
 from hil.parts.monitor.setup import MonitorOutcome
+from hil.report.section import Section
 from hil.sensors.vision_unit import columns as vmu_columns
 
 Floats = NDArray[np.float64]
@@ -180,27 +181,26 @@ _ROWS: Final = (  # quantity, label, unit in SI, unit
 )
 
 
-def monitor_lines(found: dict[str, Any]) -> list[str]:
-    """Return the comparison as lines of text."""
+def monitor_section(found: dict[str, Any]) -> Section:
+    """Return the comparison as a section of the report."""
     status = ", ".join(f"{count} {name}" for name, count in found["status"].items()) or "none"
-    lines = [
-        f"Monitor     {found['scene']}: {found['frames']} frames of {found['frame_ms']['mean']:.1f} ms each, "
+    notes = [
+        f"{found['scene']}: {found['frames']} frames of {found['frame_ms']['mean']:.1f} ms each, "
         f"portions: {status}, longest time without one {found['longest_gap_s'] or 0.0:.2f} s"
     ]
     if found["failure"] or found["missed_rows"]:
-        lines.append(f"            {found['failure'] or 'late'}, {found['missed_rows']} cycles missed")
+        notes.append(f"{found['failure'] or 'late'}, {found['missed_rows']} cycles missed")
     if found["warning"]:
-        lines.append(f"            {found['warning']}")
-    lines.append(
-        f"            {'rms error (sigma, in 2 sigma)':24}{'monitor to truth':>27}{'monitor to encoders':>27}"
-        f"{'vision unit to truth':>27}{'one to the other':>27}"
-    )
-    for quantity, label, unit, name in _ROWS:
-        cells = [_cell(figures, unit) for figures in found["quantities"][quantity].values()]
-        lines.append(
-            f"            {f'{label}, {name}':29}{cells[0]:>22}" + "".join(f"{cell:>27}" for cell in cells[1:])
-        )
-    return lines
+        notes.append(found["warning"])
+    head = (
+        "rms error (sigma, in 2 sigma)", "monitor to truth", "monitor to encoders", "vision unit to truth",
+        "one to the other",
+    )  # fmt: skip
+    rows = [
+        (f"{label}, {name}", *(_cell(figures, unit) for figures in found["quantities"][quantity].values()))
+        for quantity, label, unit, name in _ROWS
+    ]
+    return Section("Monitor", notes, head, rows)
 
 
 def _cell(figures: dict[str, float] | None, unit: float) -> str:

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import datetime
 import importlib.util
-import secrets
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from hil.cli.options import Flag, Group, Integer, RunOptions
+from hil.cli.options import Flag, Group, Integer, Names, RunOptions
 from hil.errors import BadInput
-
-if TYPE_CHECKING:
-    from hil.parts.console.foxglove_clients import FoxgloveClients
-    from hil.parts.console.strangers import Access
 
 _NEEDED = ("fastapi", "uvicorn", "websockets")
 
@@ -64,6 +58,7 @@ def console(
     record: str = "recordings",
     no_record: Flag = False,
     foxglove: Integer | None = None,
+    viewer: Names = (),
 ) -> int:
     """Serve the page that displays and commands a session at the bench, until Ctrl-C.
 
@@ -82,6 +77,8 @@ def console(
         Do not record.
     foxglove
         Port on this computer at which Foxglove connects, 0 for any free one: live topics, settings, services.
+    viewer
+        Port of the viewer of an installed part, as NAME=PORT.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
@@ -92,8 +89,11 @@ def console(
     from hil.parts.console.service import NEEDS_KEYS
     from hil.parts.console.session import Choice
     from hil.parts.console.strangers import Access
-    from hil.recording.foxglove_server import check_foxglove_option
+    from hil.parts.console.viewers import ViewerOption, opened_viewers, viewer_option
 
+    asked = [viewer_option(text) for text in viewer]
+    if foxglove is not None:
+        asked.insert(0, ViewerOption("--foxglove", "foxglove", foxglove))
     overridden = () if on_loss is None else (f"rig.console.on_loss={on_loss}",)
     choice = Choice(
         scenario=scenario,
@@ -117,38 +117,17 @@ def console(
     tls = None if server.tls is None else Tls(*server.tls)
     if tls is not None:
         tls.check()
-    if foxglove is not None:
-        check_foxglove_option(foxglove)
-    with listen(host, server.port, access, tls is not None or server.behind_tunnel) as listener:
+    with ExitStack() as stack:
+        viewers, lines = stack.enter_context(opened_viewers(asked, access, _log))
+        listener = stack.enter_context(listen(host, server.port, access, tls is not None or server.behind_tunnel))
         shown = f"[{host}]" if ":" in host else host
-        _say(f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/")
-        with _foxglove_clients(foxglove, access) as clients:
-            try:
-                serve(choice, listener, host, access, _log, tls, clients)
-            except KeyboardInterrupt:
-                _say("console closed")
+        for line in (f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/", *lines):
+            _say(line)
+        try:
+            serve(choice, listener, host, access, _log, tls, viewers)
+        except KeyboardInterrupt:
+            _say("console closed")
     return 0
-
-
-@contextmanager
-def _foxglove_clients(port: int | None, access: Access) -> Iterator[FoxgloveClients | None]:
-    """Give the clients in Foxglove at ``port``, None without one. The token, or a new code, is required for the
-    command; where operators have keys, these clients watch."""
-    if port is None:
-        yield None
-        return
-    from hil.parts.console.foxglove_clients import FoxgloveClients
-    from hil.recording.foxglove_server import layout_file
-
-    code = None if access.operators else access.token or secrets.token_hex(8)
-    clients = FoxgloveClients(port, code, _log)
-    try:
-        shown = f"; code to take the command: {code}" if code and access.token is None else ""
-        _say(f"foxglove on {clients.address}{shown}")
-        _say(f"layout for it: {layout_file()}")
-        yield clients
-    finally:
-        clients.close()
 
 
 def _log(text: str) -> None:

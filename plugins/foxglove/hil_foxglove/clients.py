@@ -8,6 +8,7 @@ console's code.
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import json
 import secrets
 import socket
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
+from hil.config.load import configs_folder
 from hil.core.child_process import ChildProcess
 from hil.errors import BadInput
 from hil.parts.console.lease import RequestRejected
@@ -22,7 +24,7 @@ from hil.parts.console.live_view import Client
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session_process import SessionProcess
 from hil.parts.console.strangers import GuessLimiter
-from hil.recording.foxglove_server import OPTION
+from hil_foxglove.server import OPTION
 
 _PACKET: Final = 1 << 16
 _READY_WALL_S: Final = 30.0
@@ -34,12 +36,18 @@ _ADDRESS: Final = "foxglove"
 
 
 class FoxgloveClients:
-    """Process of the server for Foxglove on ``port`` of this computer. Raises BadInput if it cannot listen.
+    """Viewer of a console: the process of the server for Foxglove on ``port`` of this computer.
+
+    Raises BadInput if it cannot listen, or the SDK is not installed.
 
     code: required of a client that takes the command, None if none may.
     """
 
     def __init__(self, port: int, code: str | None, log: Callable[[str], None]) -> None:
+        if importlib.util.find_spec("foxglove") is None:
+            raise BadInput.single(OPTION, "", "foxglove-sdk missing: pip install foxglove-sdk")
+        if not 0 <= port <= 65535:
+            raise BadInput.single(OPTION, "", f"{port}: allowed 0 to 65535, 0 for any free port")
         self._log = log
         self._guesses = GuessLimiter(code) if code is not None else None
         self._rights = "watch" if code is None else "command"
@@ -53,14 +61,17 @@ class FoxgloveClients:
         self._channel.setblocking(False)
         with there:
             configuration = {"port": port, "channel": there.fileno()}
-            self._child = ChildProcess(
-                "foxglove", "hil.parts.console.foxglove_server", configuration, (there.fileno(),), new_session=True
-            )
+            self._child = ChildProcess("foxglove", "hil_foxglove", configuration, (there.fileno(),), new_session=True)
         ready = self._child.wait_ready(_READY_WALL_S)
         if ready["problem"]:
             self.close()
             raise BadInput.single(OPTION, "", ready["problem"])
         self.address: str = ready["address"]
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines for the operator in addition to the address."""
+        return [f"layout for it: {configs_folder() / 'foxglove' / 'layout.json'}"]
 
     def attach(self, service: ConsoleService) -> None:
         """Serve the clients by ``service``, in the present event loop."""

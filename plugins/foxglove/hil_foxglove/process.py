@@ -37,9 +37,9 @@ from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Reader, Ring
 from hil.recording import foxglove, foxglove_images, schema
 from hil.recording.foxglove import TEXT, number, table
-from hil.recording.foxglove_server import FoxgloveServer, json_service
 from hil.recording.recorder import ring_dtypes
 from hil.recording.run_messages import MessageSchema, RunMessages, fixed_channels, json_schema, record_channel
+from hil_foxglove.server import FoxgloveServer, json_service
 
 BENCH_TOPIC: Final = "/bench"
 _PACKET: Final = 1 << 18

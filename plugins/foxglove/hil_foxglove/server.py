@@ -1,17 +1,14 @@
-"""Server for Foxglove: topics, services and parameters over a WebSocket, by the Foxglove SDK (extra ``foxglove``).
+"""Server for Foxglove: topics, services and parameters over a WebSocket, by the Foxglove SDK.
 
 The SDK calls its listener and the services from threads of its own; topics are logged from one thread.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hil.config.load import configs_folder
 from hil.errors import BadInput
 from hil.recording.run_messages import MessageSchema
 
@@ -22,19 +19,6 @@ HOST: Final = "127.0.0.1"
 """The protocol has no authentication: other computers connect through a tunnel (ssh -L)."""
 OPTION: Final = "--foxglove"
 _BACKLOG: Final = 256  # messages to one client; the oldest are dropped beyond
-
-
-def layout_file() -> Path:
-    """Return the path of the shipped layout, which Foxglove imports."""
-    return configs_folder() / "foxglove" / "layout.json"
-
-
-def check_foxglove_option(port: int) -> None:
-    """Raise BadInput if the SDK is not installed, or ``port`` is none."""
-    if importlib.util.find_spec("foxglove") is None:
-        raise BadInput.single(OPTION, "", "foxglove-sdk missing: pip install 'hil-bench[foxglove]'")
-    if not 0 <= port <= 65535:
-        raise BadInput.single(OPTION, "", f"{port}: allowed 0 to 65535, 0 for any free port")
 
 
 class FoxgloveServer:

@@ -11,9 +11,9 @@ import pytest
 
 from hil.config.load import configs_folder
 from hil.core.camera_images import CAMERAS
-from hil.parts.console.foxglove_process import BENCH_SCHEMA, BENCH_TOPIC, SERVICES
 from hil.recording import foxglove
 from hil.recording.foxglove_images import ANNOTATIONS, PICTURE_TOPICS
+from hil_foxglove.process import BENCH_SCHEMA, BENCH_TOPIC, SERVICES
 
 LAYOUT = configs_folder() / "foxglove" / "layout.json"
 FIELDS = {topic: table["properties"] for topic, table in foxglove.SCHEMAS.items()} | {

@@ -9,8 +9,8 @@ import pytest
 
 from hil.recording.read import load
 from hil.recording.replay import replay
+from plugins.foxglove.tests.foxglove_client import FoxgloveClient
 from tests.support.console_client import PATIENT, console
-from tests.support.foxglove_client import FoxgloveClient
 from tests.support.run_settings import NEAR, typed
 
 pytest.importorskip("foxglove")

@@ -26,8 +26,6 @@ from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
-from hil.parts.console.foxglove_clients import FoxgloveClients
-from hil.parts.console.foxglove_process import BENCH_TOPIC, SERVICES, LiveSession, request_of
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice
 from hil.parts.console.tuner import Tuner
@@ -36,7 +34,9 @@ from hil.recording.foxglove_images import PICTURE_TOPICS
 from hil.recording.recorder import ring_dtypes
 from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import RecordingHeader, RunFile
-from tests.support.foxglove_client import FoxgloveClient
+from hil_foxglove.clients import FoxgloveClients
+from hil_foxglove.process import BENCH_TOPIC, SERVICES, LiveSession, request_of
+from plugins.foxglove.tests.foxglove_client import FoxgloveClient
 
 pytest.importorskip("foxglove")
 
@@ -164,13 +164,14 @@ def test_command_is_held_while_the_client_watches_and_expires_when_it_is_gone(de
 
 
 def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages(
-    session: Desk, client: FoxgloveClient, tmp_path: Path, rng: np.random.Generator
+    session: Desk, client: FoxgloveClient, tmp_path: Path
 ) -> None:
     client.until(lambda: bool(client.of("/scene")), "the scene")
     client.get_parameters()  # answered when all subscriptions have been taken
     client.messages.clear()
     session.open()  # a run of its own: /state keeps its rate by the run's time
     client.until(lambda: bool(client.of("/scene")), "the scene of the new session")
+    rng = np.random.default_rng(20240517)
     rows = np.frombuffer(bytearray(rng.standard_normal(60 * CYCLE.itemsize // 8).tobytes()), CYCLE)
     rows["t_s"] = 0.001 * np.arange(60)
     entry = np.zeros(1, LOG_ENTRY)

@@ -1,0 +1,1 @@
+"""Part ``tracker`` of ``hil``, declared in ``hil_tracker.part``."""
