@@ -190,7 +190,7 @@ def yet_to_drift(params, axis, sustained, pulse, owed):
     """Return by how much the rate changes until a sustained acceleration is next fired, m/s or rad/s.
 
     It is fired once half a smallest firing of it is pending; no longer than half of the longest lead counts. Arguments
-    as of ``modulation``.
+    as in ``modulation``.
     """
     sense = math.copysign(1.0, sustained)
     pending = max(0.0, _FIRED * pulse - sense * owed)
