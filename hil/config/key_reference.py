@@ -110,13 +110,7 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
     kind = " or ".join(dict.fromkeys(_type(each) for each in options))
     live = [f"{each.low:g} to {each.high:g} during a run" for each in field.metadata if isinstance(each, Live)]
     allowed = "; ".join(filter(None, (_allowed(option), *live)))
-    try:
-        unit = unit_of(name, kind)
-    except ValueError:
-        if model.__module__.startswith("hil."):
-            raise
-        unit = ""  # a part's own name
-    return KeyRow(name, kind, unit, allowed, default, meanings(model).get(name, ""))
+    return KeyRow(name, kind, unit_of(name, kind), allowed, default, meanings(model).get(name, ""))
 
 
 def unit_of(name: str, kind: str) -> str:
@@ -197,10 +191,18 @@ def all_keys() -> list[KeyMatch]:
         KeyMatch(".".join(filter(None, (root.prefix.rstrip("."), key, place, row.name))), file, row)
         for file, root in roots
         for key, model in ({"": root} | root.added_tables()).items()
-        for table in tables(model)
+        for table in _tables_of(key, model)
         for place in table.places
         for row in _rows_of(table)
     ]
+
+
+def _tables_of(key: str, model: type[BaseModel]) -> list[KeyTable]:
+    """Return the tables of a file, or of the table ``key`` of a part. Raises BadInput for a key without its unit."""
+    try:
+        return tables(model)
+    except ValueError as error:
+        raise BadInput.single("hil.parts", f"[{key}]", str(error)) from error
 
 
 def _rows_of(table: KeyTable) -> list[KeyRow]:

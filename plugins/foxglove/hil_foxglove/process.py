@@ -31,6 +31,7 @@ import numpy as np
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock, utc_ns
 from hil.core.files import parse_json
+from hil.core.operator_commands import OperatorCommand
 from hil.core.part import part_sinks
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
@@ -56,7 +57,7 @@ _NICENESS: Final = 5
 _FLAG: Final = {"type": "boolean"}
 _CONFIRMED: Final = {"confirmed": _FLAG}
 _WHO: Final = {"name": TEXT, "code": TEXT}
-_ORDERS: Final = ("home", "arm", "start", "resume", "abort", "go", "park", "reset")
+_ORDERS: Final = tuple(each.value for each in OperatorCommand if each.value not in ("stop", "hold", "jog"))
 SERVICES: Final[dict[str, dict[str, Any]]] = {
     **{key: {} for key in ("stop", "hold")},
     **dict.fromkeys(_ORDERS, _CONFIRMED),

@@ -8,10 +8,13 @@ import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from hil.cli.options import Flag, Group, Integer, Names, RunOptions
+from hil.cli.options import Flag, Group, Integer, Names, OptionalInteger, RunOptions
 from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.parts.console.viewers import ViewerOption
 
 _NEEDED = ("fastapi", "uvicorn", "websockets")
 
@@ -45,7 +48,24 @@ class ServerOptions:
         return None
 
 
-_SERVER_DEFAULTS, _RUN_DEFAULTS = ServerOptions(), RunOptions()
+@dataclass(frozen=True)
+class ViewerOptions:
+    """Live viewers in addition to the page."""
+
+    foxglove: OptionalInteger = None
+    """Port on this computer at which Foxglove connects, 0 for any free one: live topics, settings, services."""
+    viewer: Names = ()
+    """Port of the viewer of an installed part, as NAME=PORT."""
+
+    def asked(self) -> list[ViewerOption]:
+        """Return the viewers. Raises BadInput."""
+        from hil.parts.console.viewers import ViewerOption, viewer_option
+
+        own = [] if self.foxglove is None else [ViewerOption("--foxglove", "foxglove", self.foxglove)]
+        return [*own, *map(viewer_option, self.viewer)]
+
+
+_SERVER_DEFAULTS, _RUN_DEFAULTS, _NO_VIEWERS = ServerOptions(), RunOptions(), ViewerOptions()
 
 
 def console(
@@ -57,8 +77,7 @@ def console(
     on_loss: Literal["hold", "continue", "stop"] | None = None,
     record: str = "recordings",
     no_record: Flag = False,
-    foxglove: Integer | None = None,
-    viewer: Names = (),
+    live: Group[ViewerOptions] = _NO_VIEWERS,
 ) -> int:
     """Serve the page that displays and commands a session at the bench, until Ctrl-C.
 
@@ -75,10 +94,6 @@ def console(
         Folder for the recordings, one file per session, and their catalogue.
     no_record
         Do not record.
-    foxglove
-        Port on this computer at which Foxglove connects, 0 for any free one: live topics, settings, services.
-    viewer
-        Port of the viewer of an installed part, as NAME=PORT.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
@@ -89,11 +104,8 @@ def console(
     from hil.parts.console.service import NEEDS_KEYS
     from hil.parts.console.session import Choice
     from hil.parts.console.strangers import Access
-    from hil.parts.console.viewers import ViewerOption, opened_viewers, viewer_option
+    from hil.parts.console.viewers import opened_viewers
 
-    asked = [viewer_option(text) for text in viewer]
-    if foxglove is not None:
-        asked.insert(0, ViewerOption("--foxglove", "foxglove", foxglove))
     overridden = () if on_loss is None else (f"rig.console.on_loss={on_loss}",)
     choice = Choice(
         scenario=scenario,
@@ -118,7 +130,7 @@ def console(
     if tls is not None:
         tls.check()
     with ExitStack() as stack:
-        viewers, lines = stack.enter_context(opened_viewers(asked, access, _log))
+        viewers, lines = stack.enter_context(opened_viewers(live.asked(), access, _log))
         listener = stack.enter_context(listen(host, server.port, access, tls is not None or server.behind_tunnel))
         shown = f"[{host}]" if ":" in host else host
         for line in (f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/", *lines):
