@@ -24,7 +24,7 @@ _HIDDEN: Final = "dot_"
 
 
 def init(folder: str, /, *, part: str | None = None) -> int:
-    """Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.
+    """Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.
 
     Parameters
     ----------
