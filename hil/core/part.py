@@ -1,7 +1,8 @@
 """Parts: capabilities of a bench in addition to its core, each declared by one ``Part``.
 
 The core imports no part. It asks for what it needs by the setting that needs it, as ``vmu.source=rendered``, or by a
-place where every part may add something, as the checks of a job. Parts of this package are listed in ``hil.parts``,
+place where every part may add something, as the checks of a job. Parts of this package are listed in
+``hil.parts.declarations``,
 those of other packages are found by entry points of the group ``hil.parts``, named as the part:
 
     [project.entry-points."hil.parts"]
@@ -24,7 +25,7 @@ from hil.core.build_info import VERSION
 from hil.errors import BadInput, one_line
 
 GROUP: Final = "hil.parts"
-_OURS: Final = "hil.parts:PARTS"
+_OURS: Final = "hil.parts.declarations:PARTS"
 
 
 class PartCommand(NamedTuple):

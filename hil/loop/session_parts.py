@@ -20,7 +20,7 @@ from hil.loop.outcome import Outcome
 from hil.loop.sensor_stage import SampleSource
 
 
-class Recording(Protocol):
+class RunSinks(Protocol):
     """Sinks of a recording by name, see ``hil.recording.sinks.RecordingSinks``."""
 
     def __getitem__(self, name: str) -> Telemetry: ...

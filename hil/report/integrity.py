@@ -29,7 +29,7 @@ class SafeStop:
     by: str
 
 
-def integrity_part(state: np.record, scenario: Scenario) -> results.Integrity:
+def integrity_part(state: np.record, scenario: Scenario) -> results.IntegrityResults:
     """Return the integrity part of the verdict. state: INTEGRITY_STATE at the end of a run.
 
     A GNC that reports no protection levels is judged by the distance to the target alone.
@@ -37,7 +37,7 @@ def integrity_part(state: np.record, scenario: Scenario) -> results.Integrity:
     reported = bool(state.reported)
     nearest_m, keep_out_m = finite_or_none(state.nearest), scenario.keep_out.radius_m
     has_estimate = state.worst_limit > 0.0 or state.worst_error > 0.0
-    return results.Integrity(
+    return results.IntegrityResults(
         passed=bool(state.hmi_cycles == 0 and nearest_m is not None and nearest_m >= keep_out_m),
         hmi_cycles=int(state.hmi_cycles) if reported else None,
         hmi_by_line1_only=int(state.hmi_by_line1_only) if reported else None,

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.messages import Array
-from hil.report.results import Devices
+from hil.report.results import DeviceResults
 from hil.sensors.vision_unit import columns as vmu_columns
 
 LATENCIES: Final = ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
@@ -181,13 +181,13 @@ def limits_s(rig: Rig, step_s: float) -> dict[str, float]:
     return dict.fromkeys(NAMES, exchange_s) | {"cycle": step_s, "vmu": rig.vmu.timeout_s}
 
 
-def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Rig, step_s: float) -> Devices:
+def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Rig, step_s: float) -> DeviceResults:
     """Return the times of each device against its limit. beyond: number of times above their limits."""
     found = {}
     for name, limit_s in limits_s(rig, step_s).items():
         times = {f"{key}_ms": value for key, value in percentiles(1e3 * times_s[name]).items()}
         found[name] = times | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
-    return Devices.of(found)
+    return DeviceResults.of(found)
 
 
 def count_beyond(times_s: Mapping[str, Array], rig: Rig, step_s: float) -> dict[str, int]:

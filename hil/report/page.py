@@ -13,7 +13,7 @@ from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
-from hil.report.results import Navigation, RunResults
+from hil.report.results import NavigationResults, RunResults
 from hil.report.section import sections_of
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ready_rows, verdict_lines
@@ -156,7 +156,7 @@ def _numbers(results: RunResults) -> Iterator[str]:
         yield html.table(("part", "shift, px", "by chance"), parts, title)
 
 
-def _errors_over_bound(navigation: Navigation) -> list[tuple[str, str, str, str]]:
+def _errors_over_bound(navigation: NavigationResults) -> list[tuple[str, str, str, str]]:
     """Return error, bound and their ratio of each axis; none if a recording has no such bound."""
     lines = []
     for quantity, unit, scale, axes in (("position", "m", 1e3, "xyz"), ("attitude", "deg", 1.0, "123")):

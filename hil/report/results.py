@@ -79,13 +79,13 @@ _MM, _PERCENT, _TWO = number(".4g", 1e3), number(".0f", 100.0, " %"), number(".2
 _RMS, _P50_P99 = parts(".3f", "rms"), parts(".2f", "p50", "p99")
 
 
-class Part(Results):
+class PartResults(Results):
     """A part of the verdict."""
 
     passed: bool = row("whether it was passed")
 
 
-class ControlPrecision(Part):
+class ControlPrecision(PartResults):
     """Table III over the ready phase."""
 
     ready_time_s: float | None = row("begin of the ready phase")
@@ -94,7 +94,7 @@ class ControlPrecision(Part):
     margin: float | None = row("least of 1 - deviation / tolerance", "least margin to Table III", _PERCENT)
 
 
-class Abort(Results):
+class AbortResults(Results):
     """Course of an abort."""
 
     cause: str = row("what triggered it")
@@ -107,7 +107,7 @@ class Abort(Results):
     drift_from_end: dict[str, Any] = row("free drift over one orbit from the end of the run on")
 
 
-class Security(Part):
+class Security(PartResults):
     """Corridor and closing rate on the truth, up to an abort."""
 
     corridor_margin_m: float | None = row("least margin to the corridor")
@@ -115,10 +115,10 @@ class Security(Part):
     closing_margin_mps: float | None = row("least margin to the closing rate")
     closing_margin_at_s: float | None = row("its time")
     nearest_m: float | None = row("least distance from the target")
-    abort: Abort | None = row("course of an abort; null without one")
+    abort: AbortResults | None = row("course of an abort; null without one")
 
 
-class Energy(Part):
+class Energy(PartResults):
     """Propellant against the least that the reference and the slews cost."""
 
     propellant_kg: float = row("propellant used")
@@ -132,7 +132,7 @@ class Energy(Part):
     firings: int = row("firings of all thrusters")
 
 
-class FieldOfView(Part):
+class FieldOfViewResults(PartResults):
     """LEDs in both images, at the pose that the bench really had."""
 
     margin_px: float | None = row("least margin to an image's edge; null behind a camera")
@@ -141,7 +141,7 @@ class FieldOfView(Part):
     lost_s: float | None = row("time with an LED outside")
 
 
-class Integrity(Part):
+class IntegrityResults(PartResults):
     """[Terms](../../explanation/safety.md#integrity)."""
 
     hmi_cycles: int | None = row("cycles with hazardously misleading information; null without protection levels")
@@ -156,7 +156,7 @@ class Integrity(Part):
     sensors: str = row('"A": with docking monitor; "B": without')
 
 
-class Decision(Part):
+class Decision(PartResults):
     """Docking's go."""
 
     go_s: float | None = row("first [go](../../explanation/integrity.md#go); null for never")
@@ -172,10 +172,10 @@ class VerdictParts(Results):
     control_precision: ControlPrecision = row("Table III")
     security: Security = row("corridor and closing rate")
     energy: Energy = row("propellant")
-    field_of_view: FieldOfView = row("LEDs in the images")
+    field_of_view: FieldOfViewResults = row("LEDs in the images")
 
 
-class Navigation(Results):
+class NavigationResults(Results):
     """Errors of the estimate, rms from 100 s on (over all, if shorter); null if the GNC has none."""
 
     position_rmse_m: Vector | None = row("[3], error of the position", "position rmse x y z, mm", _MM)
@@ -197,7 +197,7 @@ class Navigation(Results):
         return found
 
 
-class Thrusters(Results):
+class ThrusterUse(Results):
     """Use of the thrusters."""
 
     force_on_time_s: Vector = row("[3], time with a force demand on the axis, before allocation")
@@ -215,7 +215,7 @@ class RmsMax(Results):
     max: float | None = row("largest magnitude")
 
 
-class Bench(Results):
+class BenchResults(Results):
     """Errors of the bench."""
 
     rail_error_rms_m: Vector | None = row("[3], commanded against measured rails")
@@ -249,7 +249,7 @@ class Latency(Results):
     pose_behind_imu_ms: Percentiles = row("lag of the poses behind their exposures, fitted to 20 s of motion")
 
 
-class Lateness(Percentiles):
+class LatenessResults(Percentiles):
     """Lateness of the cycles; null in lock-step."""
 
     p999: float | None = row("99.9th percentile")
@@ -271,7 +271,7 @@ class AxisTimes(DeviceTimes):
     exchange_hz: float | None = row("exchanges per second with the drives; null for devices in memory")
 
 
-class Devices(Results):
+class DeviceResults(Results):
     """Times of the devices."""
 
     cycle: DeviceTimes = row("from the start of a cycle to its command")
@@ -291,11 +291,11 @@ class Timing(Results):
     skipped_periods: int = row("lost periods")
     cycles: int = row("executed cycles")
     late_wakeups: int = row("late wake-ups")
-    lateness_us: Lateness = row(
+    lateness_us: LatenessResults = row(
         "late wake-ups, null in lock-step", "lateness p50 p99 max, us", parts(".0f", "p50", "p99", "max")
     )
     lateness_histogram: list[dict[str, float | int | None]] = row("list of `below_us`, `cycles`")
-    devices: Devices = row()
+    devices: DeviceResults = row()
     late_cycle: str = row("overrun policy")
     privileges: list[dict[str, Any]] = row("list of `name`, `granted`, `detail`")
 
@@ -316,17 +316,17 @@ class RunResults(Results):
     held_since_s: float | None = row("start of those 5 s")
     ready_phase: dict[str, Vector] | None = row("largest absolute deviations of the truth in it")
     verdict: VerdictParts = row("parts of the verdict")
-    integrity: Integrity | None = row("part of the verdict")
+    integrity: IntegrityResults | None = row("part of the verdict")
     decision: Decision | None = row("part of the verdict")
     docking_go_s: float | None = row("first go by the events of the run")
-    navigation: Navigation = row()
-    thrusters: Thrusters = row()
+    navigation: NavigationResults = row()
+    thrusters: ThrusterUse = row()
     control: dict[str, Any] | None = row("[rule](../../explanation/control.md#the-rule) of the built-in control")
     orbit: dict[str, Any] = row("central `body`; `eclipse_s`, time in its shadow")
     gnc: dict[str, Any] = row("library, class or backends, with digests")
     vision: dict[str, int] = row("[counters](wires.md) and [clock](../wire-formats.md#vision-unit) of the vision unit")
     drift_check: dict[str, Any] | None = row("check of the cameras before the run")
-    bench: Bench = row()
+    bench: BenchResults = row()
     latency: Latency = row()
     timing: Timing = row("", "overruns, periods lost", lambda of: f"{of.overruns}, {of.skipped_periods}")
     clocks: dict[str, Any] | None = row("PTP and steps of the system's time, on wires")
@@ -355,7 +355,7 @@ class RunResults(Results):
         absent = {name for name in ("monitor", "recording") if getattr(self, name) is None}
         return {name: value for name, value in super().as_json().items() if name not in absent}
 
-    def parts(self) -> dict[str, Part]:
+    def parts(self) -> dict[str, PartResults]:
         """Return the parts of the verdict by name; earlier versions have fewer."""
         found = {name: getattr(self, name, None) or getattr(self.verdict, name, None) for name in PART_COLUMNS}
         return {name: part for name, part in found.items() if part is not None}

@@ -184,14 +184,14 @@ def _energy_text(part: results.Energy) -> str:
     )
 
 
-def _view_text(part: results.FieldOfView) -> str:
+def _view_text(part: results.FieldOfViewResults) -> str:
     if part.at_s is None:
         return "no cycle was run"
     margin = "behind a camera" if part.margin_px is None else f"least margin {part.margin_px:.0f} px"
     return f"{margin} at {part.at_s:.2f} s, range {part.range_m:.2f} m"
 
 
-def _integrity_text(part: results.Integrity) -> str:
+def _integrity_text(part: results.IntegrityResults) -> str:
     if part.nearest_m is None:
         return "no cycle was run"
     near = f"nearest {part.nearest_m:.3f} m"
@@ -231,7 +231,7 @@ def _ready_text(run: RunResults) -> str:
     return f"Ready       at {run.ready_time_s:.2f} s{beside}, Table III holds since {run.held_since_s:.2f} s"
 
 
-def _navigation_text(navigation: results.Navigation) -> str:
+def _navigation_text(navigation: results.NavigationResults) -> str:
     if navigation.position_rmse_m is None:
         return "Navigation  no estimate: no pose arrived, or the GNC gave none"
     mm, deg = number(".2f", 1e3), number(".4f")
@@ -242,7 +242,7 @@ def _navigation_text(navigation: results.Navigation) -> str:
     )
 
 
-def _bench_lines(bench: results.Bench, latency: results.Latency) -> Iterator[str]:
+def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Iterator[str]:
     """Yield the bench error and the latencies of pose and setpoint."""
     if (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
         fraction = bench.share_of_navigation_error

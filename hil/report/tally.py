@@ -20,7 +20,16 @@ from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
 from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
-from hil.report.results import Bench, Latency, Lateness, Navigation, Percentiles, RunResults, Timing, VerdictParts
+from hil.report.results import (
+    BenchResults,
+    Latency,
+    LatenessResults,
+    NavigationResults,
+    Percentiles,
+    RunResults,
+    Timing,
+    VerdictParts,
+)
 from hil.report.sums import Squares, ThinnedSample
 from hil.report.verdict import Verdict, control_precision, verdict_of
 from hil.report.verdict_parts import (
@@ -128,10 +137,10 @@ class Tally:
                 energy=energy_part(stats, scenario, thrusters.propellant_kg),
                 field_of_view=self._view.part(),
             ),
-            navigation=Navigation(**navigation_numbers(stats.navigation), **self._bound.rows()),
+            navigation=NavigationResults(**navigation_numbers(stats.navigation), **self._bound.rows()),
             thrusters=thrusters,
             orbit={"body": scenario.orbit.body, "eclipse_s": step_s * float(stats.shadow_cycles)},
-            bench=Bench(
+            bench=BenchResults(
                 **self._rails.as_json("rail_error", "m"),
                 **self._gimbals.as_json("gimbal_error", "deg"),
                 **self._bench.rows(),
@@ -140,7 +149,7 @@ class Tally:
             timing=Timing(
                 cycles=int(stats.cycles),
                 late_wakeups=self._late_wakeups,
-                lateness_us=Lateness(**lateness_percentiles_us(self._lateness.values())),
+                lateness_us=LatenessResults(**lateness_percentiles_us(self._lateness.values())),
                 lateness_histogram=self._histogram,
                 devices=judge_times(times_s, self._beyond, self._rig, step_s),
             ),

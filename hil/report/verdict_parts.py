@@ -85,10 +85,10 @@ def attitude_error(history: np.ndarray) -> Array:
     return rotation
 
 
-def thruster_numbers(stats: np.record, scenario: Scenario) -> results.Thrusters:
+def thruster_numbers(stats: np.record, scenario: Scenario) -> results.ThrusterUse:
     """Return the use of the thrusters: demands, open times, firings, propellant. stats: RUN_STATS."""
     n, step_s = len(scenario.chaser.thrusters.position_m), scenario.step_s
-    return results.Thrusters(
+    return results.ThrusterUse(
         force_on_time_s=(step_s * stats.force_cycles).tolist(),
         torque_on_time_s=(step_s * stats.torque_cycles).tolist(),
         torque_on_time_360_400_s=(step_s * stats.torque_cycles_360_400_s).tolist(),
@@ -181,12 +181,12 @@ class AbortCourse:
         if self._hold_since_s is None and len(held):
             self._hold_since_s = float(rows["t_s"][held[0]])
 
-    def course(self) -> results.Abort | None:
+    def course(self) -> results.AbortResults | None:
         """Return the course, None without an abort."""
         first, last, orbit = self._first, self._last, self._scenario.orbit
         if first is None or last is None:
             return None
-        return results.Abort(
+        return results.AbortResults(
             cause=ABORT_CAUSES[int(first["supervision"]["aborted"])],
             at_s=float(first["t_s"]),
             range_m=linear.length(first["truth"]["r_CT_H"]),
@@ -271,11 +271,11 @@ class FieldOfView:
         self._rows += len(rows)
         self._lost += int(np.count_nonzero(margins < 0.0))
 
-    def part(self) -> results.FieldOfView:
+    def part(self) -> results.FieldOfViewResults:
         """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
         if not self._rows:
-            return results.FieldOfView(passed=False)
-        return results.FieldOfView(
+            return results.FieldOfViewResults(passed=False)
+        return results.FieldOfViewResults(
             passed=bool(self._least_px >= 0.0),
             margin_px=finite_or_none(self._least_px),
             at_s=self._at_s,

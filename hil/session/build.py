@@ -22,7 +22,7 @@ from hil.errors import BadInput, Problem
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
-from hil.loop.session_parts import Recording, SessionParts
+from hil.loop.session_parts import RunSinks, SessionParts
 from hil.session.assembly import Job as Job
 from hil.session.assembly import assemble, core_memory, library_problems, mocks
 from hil.session.compiled import compiled_cycles
@@ -86,7 +86,7 @@ def runner(
     on_progress: ProgressCallback = lambda *_: None,
     announce: Callable[[str], None] = lambda _: None,
     operator: Operator | None = None,
-    sinks: Recording | None = None,
+    sinks: RunSinks | None = None,
 ) -> Iterator[Runner]:
     """Give a Runner for ``job``; see ``opened``.
 
@@ -98,7 +98,7 @@ def runner(
 
 
 @contextmanager
-def opened(job: Job, parts: SessionParts, sinks: Recording | None = None) -> Iterator[Runner]:
+def opened(job: Job, parts: SessionParts, sinks: RunSinks | None = None) -> Iterator[Runner]:
     """Give a Runner for ``job``, built from ``parts``; the processes that it needs run as long as this lasts.
 
     Devices and ``sinks`` of a recording add to ``parts``, then the parts of the program that the job uses. Raises
@@ -121,7 +121,7 @@ def opened(job: Job, parts: SessionParts, sinks: Recording | None = None) -> Ite
         yield in_memory(job, rate, parts, sinks.image_encoder(rig) if sinks else None)
 
 
-def attach_parts(job: Job, parts: SessionParts, sinks: Recording | None, stack: ExitStack) -> None:
+def attach_parts(job: Job, parts: SessionParts, sinks: RunSinks | None, stack: ExitStack) -> None:
     """Let the recording and each part that ``job`` uses add to ``parts``; ``stack`` ends what they have started."""
     if sinks:
         sinks.attach(parts)
@@ -130,7 +130,7 @@ def attach_parts(job: Job, parts: SessionParts, sinks: Recording | None, stack: 
 
 
 def wired_bench(
-    job: Job, announce: Callable[[str], None] = lambda _: None, sinks: Recording | None = None
+    job: Job, announce: Callable[[str], None] = lambda _: None, sinks: RunSinks | None = None
 ) -> AbstractContextManager[Any]:
     """Return the ``WiredBench`` of ``job``'s rig, which is not a mock; its processes run as long as its context lasts.
 

@@ -38,6 +38,8 @@ EXEMPT: Final = {
     "recording/foxglove.py": "display",
     "recording/foxglove_scene.py": "display",
     "parts/export/ros2.py": "export",
+    "parts/vision/view_plan.py": "a plan of views with stated uncertainties",
+    "parts/wires/devices.py": "measurements of the host",
     "recording/catalogue.py": "display",
     "report/comparison.py": "statistics of two runs",
     "report/figures.py": "display",

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import hil
-from hil.parts import CORE, PARTS
+from hil.parts.declarations import CORE, PARTS
 
 PACKAGE: Final = Path(hil.__file__).parent
 CYCLE: Final = ("hil.loop.cycle", "hil.loop.compiled.run_cycles")
 """Modules of the cycle, in Python and compiled."""
-ABOVE: Final = "hil.parts"
+ABOVE: Final = "hil.parts.declarations"
 """List of the parts, of none of them."""
 _RUN: Final = "import sys, hil; hil.run('scheme-1', duration_s=2.0); print(*sys.modules)"
 
@@ -49,7 +49,7 @@ def lines(names: Iterable[str]) -> int:
 @cache
 def part_of(module: str) -> str:
     """Return the name of the part that ``module`` is of: that with its longest prefix, otherwise the core."""
-    owners = {prefix: part.name for part in PARTS for prefix in (f"{ABOVE}.{part.name}", *part.modules)}
+    owners = {prefix: part.name for part in PARTS for prefix in (f"hil.parts.{part.name}", *part.modules)}
     prefixes = [module.rsplit(".", n)[0] for n in range(module.count(".") + 1)]
     return next((owners[prefix] for prefix in prefixes if prefix in owners), CORE.name)
 

@@ -12,18 +12,16 @@ import pytest
 
 from hil.cli import warm_up
 from hil.cli.main import COMMANDS, execute
+from hil.core.part import imported
+from tests.support import structure
 
 HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core.messages")
 
 
-def module_of(name: str) -> str:
-    """Return the name of a command's module and function."""
-    return name.replace("-", "_")
-
-
 @pytest.mark.parametrize("name", [name for name, command in COMMANDS.items() if not command.path.endswith(":app")])
 def test_summary_of_each_command_is_that_of_its_function(name: str) -> None:
-    function = getattr(importlib.import_module(f"hil.cli.{module_of(name)}"), module_of(name))
+    function = imported(COMMANDS[name].path)
+    assert function.__name__ == name.replace("-", "_")
     text = inspect.getdoc(function)
     assert text is not None
     assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name].summary
@@ -67,9 +65,12 @@ def test_gnc_of_a_scenario_is_accepted_like_the_commands_of_its_name(capsys: pyt
 
 
 def test_no_function_of_the_command_line_has_nine_parameters() -> None:
-    names = [*COMMANDS, "gnc_check", "output", "options", "replay_images", "calibrate_tables"]
-    for name in names:
-        module = importlib.import_module(f"hil.cli.{module_of(name)}")
+    names = {
+        name for name in structure.modules() if {"cli", "commands"} & {*name.split(".")} and name != "hil.cli.main"
+    }
+    assert {command.path.partition(":")[0] for command in COMMANDS.values()} <= names
+    for name in sorted(names):
+        module = importlib.import_module(name)
         for found in vars(module).values():
             if inspect.isfunction(found) and found.__module__ == module.__name__:
                 assert len(inspect.signature(found).parameters) < 9, found

@@ -56,7 +56,7 @@ def test_go_at_the_ready_point_is_right() -> None:
 )
 def test_go_with_the_truth_outside_the_requirement_is_an_error(field: str, value: tuple[float, ...]) -> None:
     history = rows()
-    history["truth"][field][:GO_AT] = value  # before the go nobody relies on it
+    history["truth"][field][:GO_AT] = value  # no decision relies on it before the go
     assert not judged(history)[1].error
     history["truth"][field][GO_AT] = value
     part = judged(history)[1]

@@ -1,6 +1,6 @@
 """Hooks and fixtures of the pytest plugin, by which a test campaign runs on any rig.
 
-pytest imports this module in each of its runs, of other projects too: it imports nothing but its options before a test
+pytest imports this module in each of its runs, of other projects too: it imports its options alone before a test
 uses a fixture or an option of it, and adds its options after those of all others, none that exists already.
 """
 
