@@ -309,7 +309,7 @@ def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Pa
 
 
 def test_page_needs_nothing_from_outside(idle: Console) -> None:
-    folder = Path(__file__).parents[2] / "hil" / "console" / "page"
+    folder = Path(__file__).parents[2] / "hil" / "parts" / "console" / "page"
     for name in ["", *(f"page/{path.name}" for path in folder.iterdir())]:
         with urlopen(f"http://{idle.address}/{name}") as answer:
             text = answer.read().decode()
