@@ -188,11 +188,11 @@ def all_keys() -> list[KeyMatch]:
     with ``rig.``."""
     roots: tuple[tuple[str, type[FileTable]], ...] = (("scenario", Scenario), ("rig", Rig))
     return [
-        KeyMatch(".".join(filter(None, (root.prefix.rstrip("."), key, place, row.name))), file, row)
+        KeyMatch(".".join(filter(None, (root.prefix.rstrip("."), key, path, row.name))), file, row)
         for file, root in roots
         for key, model in ({"": root} | root.added_tables()).items()
         for table in _tables_of(key, model)
-        for place in table.places
+        for path in table.places
         for row in _rows_of(table)
     ]
 

@@ -111,9 +111,9 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
 
 def check_limits(loaded: Loaded[Any], limits: tuple[Limit, ...], kind: Kind, prefix: str) -> None:
     """Raise BadInput if a protective limit is weaker than a rig of ``kind`` accepts. prefix: of their keys."""
-    found = excess(limits, loaded.value, kind)
-    if found:
-        raise BadInput([Problem(loaded.where(key), f"{prefix}{key}", text) for key, text in found])
+    exceeded = excess(limits, loaded.value, kind)
+    if exceeded:
+        raise BadInput([Problem(loaded.where(key), f"{prefix}{key}", text) for key, text in exceeded])
 
 
 def check_wires(rig: Loaded[Rig]) -> None:
@@ -258,8 +258,8 @@ def _read_table(path: Path) -> Table:
     """Return the table in the file at ``path``; a shipped file is parsed once."""
     if configs_folder() not in path.parents:
         return _parsed_table(path)
-    found: Table = pickle.loads(_shipped_table(path))
-    return found
+    table: Table = pickle.loads(_shipped_table(path))
+    return table
 
 
 @cache
@@ -303,7 +303,7 @@ def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str],
             merge_tables(base[key], value, source, origin, f"{dotted}.")
         else:
             if isinstance(present, dict):
-                for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
+                for stale in [dotted_key for dotted_key in origin if dotted_key.startswith(f"{dotted}.")]:
                     del origin[stale]
             base[key] = value
             _note_origin(value, dotted, source, origin)
@@ -330,12 +330,12 @@ def apply_settings(
     """
     for text in settings:
         (*parents, last), value = _parse_setting(text, prefix)
-        place = table
+        node = table
         for name in parents:
-            place = place.setdefault(name, {})
-            if not isinstance(place, dict):
+            node = node.setdefault(name, {})
+            if not isinstance(node, dict):
                 raise BadInput.single("--set", text, f"{name} is not a table")
-        place[last] = value
+        node[last] = value
         if _names_dispersion_set(model, table):
             _put_dispersion_set(table, table["dispersions"], origin)
         else:
@@ -381,10 +381,10 @@ def _problems(
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))
         shown = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
-        known = dotted
-        while known and known not in origin:
-            known = known.rpartition(".")[0]
-        where = origin.get(known, source)
+        ancestor = dotted
+        while ancestor and ancestor not in origin:
+            ancestor = ancestor.rpartition(".")[0]
+        where = origin.get(ancestor, source)
         message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
         problems.append(Problem(where, f"{prefix}{shown}" if dotted else "", message))
     if len(faults) > _PROBLEMS_MAX:
@@ -397,12 +397,12 @@ def _of_one_type(faults: Sequence[Any], table: Table) -> list[Any]:
     by_place: dict[tuple[str | int, ...], list[Any]] = {}
     for number, fault in enumerate(faults):
         at = _type_label_at(fault["loc"], table)
-        place = (number,) if at is None else ("value", *fault["loc"][:at])
-        by_place.setdefault(place, []).append(fault)
-    found: list[Any] = []
-    for place, alike in by_place.items():
-        found += alike if place[0] != "value" else _best_of_types(alike, len(place) - 1, table)
-    return found
+        location = (number,) if at is None else ("value", *fault["loc"][:at])
+        by_place.setdefault(location, []).append(fault)
+    best: list[Any] = []
+    for location, alike in by_place.items():
+        best += alike if location[0] != "value" else _best_of_types(alike, len(location) - 1, table)
+    return best
 
 
 def _best_of_types(faults: Sequence[Any], at: int, table: Table) -> list[Any]:
@@ -423,50 +423,50 @@ def _best_of_types(faults: Sequence[Any], at: int, table: Table) -> list[Any]:
 
 def _type_label_at(location: Sequence[str | int], table: Table) -> int | None:
     """Return the index of the first label of a type in pydantic's ``location``, None without one."""
-    place: Any = table
+    node: Any = table
     for at, part in enumerate(location):
-        if isinstance(place, dict) and part in place:
-            place = place[part]
+        if isinstance(node, dict) and part in node:
+            node = node[part]
         elif isinstance(part, str) and _TYPE_LABEL.fullmatch(part):
             return at
         else:
-            place = place[part] if isinstance(part, int) and isinstance(place, list) and part < len(place) else None
+            node = node[part] if isinstance(part, int) and isinstance(node, list) and part < len(node) else None
     return None
 
 
 def _keys_of(location: Sequence[str | int], table: Table) -> list[str | int]:
     """Return the keys and indices in pydantic's ``location``, which also names alternatives: ``tuple[...]``."""
     keys: list[str | int] = []
-    place: Any = table
+    node: Any = table
     for part in location:
-        is_key = isinstance(place, dict) and part in place
+        is_key = isinstance(node, dict) and part in node
         if not is_key and isinstance(part, str) and "[" in part:
             continue
         keys.append(part)
-        if is_key or (isinstance(part, int) and isinstance(place, list) and part < len(place)):
-            place = place[part]
+        if is_key or (isinstance(part, int) and isinstance(node, list) and part < len(node)):
+            node = node[part]
         else:
-            place = None
+            node = None
     return keys
 
 
 def _unknown_in_open_tables(error: ValidationError, model: type[BaseModel], table: Table) -> list[dict[str, Any]]:
     """Return the unknown keys of open tables that pydantic did not reach because of other faults in the table."""
     reported = {fault["loc"] for fault in error.errors()}
-    found: list[dict[str, Any]] = []
+    unknown_keys: list[dict[str, Any]] = []
     if issubclass(model, FileTable):
         unknown = model.unknown_keys(table)
-        found += [{"type": "extra_forbidden", "loc": (key,), "input": table[key]} for key in unknown]
+        unknown_keys += [{"type": "extra_forbidden", "loc": (key,), "input": table[key]} for key in unknown]
     for device in model.model_fields:
         inner, device_model = table.get(device), model_of_field(model, device)
         if not isinstance(inner, dict) or device_model is None or not issubclass(device_model, DeviceTable):
             continue
         named = get_origin(model.model_fields[device].annotation) is dict
         tables = {(device, name): each for name, each in inner.items()} if named else {(device,): inner}
-        for place, each in tables.items():
+        for path, each in tables.items():
             unknown = device_model.unknown_keys(each) if isinstance(each, dict) else []
-            found += [{"type": "extra_forbidden", "loc": (*place, key), "input": each[key]} for key in unknown]
-    return [fault for fault in found if fault["loc"] not in reported]
+            unknown_keys += [{"type": "extra_forbidden", "loc": (*path, key), "input": each[key]} for key in unknown]
+    return [fault for fault in unknown_keys if fault["loc"] not in reported]
 
 
 def _message(fault: Any, model: type[BaseModel], location: list[str], table: Table) -> str:
@@ -500,21 +500,21 @@ def _expected(model: type[BaseModel], location: list[str]) -> str:
 
 def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str:
     parent = _model_at(model, location[:-1])
-    known = sorted(parent.model_fields) if parent is not None else []
+    names = sorted(parent.model_fields) if parent is not None else []
     key = location[-1]
     of_part = ""
     if parent is not None and issubclass(parent, FileTable):
-        known = sorted([*known, *parent.added_tables()])
+        names = sorted([*names, *parent.added_tables()])
         of_part = "; or the table of a part that is not installed, see hil list parts" * isinstance(value, dict)
-    if meant := converted(key, value, known):
+    if meant := converted(key, value, names):
         return f"unknown key: did you mean {meant}?"
     stem = split(key)[0]
-    same_stem = [name for name in known if split(name)[0] == stem]
+    same_stem = [name for name in names if split(name)[0] == stem]
     if same_stem:
         return f"unknown key: the unit is part of the name, here it is {' or '.join(same_stem)}"
-    close = difflib.get_close_matches(key, known, n=1)
+    close = difflib.get_close_matches(key, names, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key: {hint}known here: {', '.join(known)}{of_part}"
+    return f"unknown key: {hint}known here: {', '.join(names)}{of_part}"
 
 
 def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:

@@ -130,16 +130,16 @@ def parts() -> Parts:
 
 def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
     """Return ``own`` and the parts of ``points``, of which none may claim what an earlier one has."""
-    found = Parts({}, [])
+    joint = Parts({}, [])
     owners: dict[str, str] = {}
 
     def add(new: InstalledPart) -> None:
         what = f"part {new.part.name} of package {new.origin}"
         if taken := [claim for claim in new.part.claims() if claim in owners]:
-            found.problems.append(f"{what}: {taken[0]} is that of {owners[taken[0]]}: the part is left out")
+            joint.problems.append(f"{what}: {taken[0]} is that of {owners[taken[0]]}: the part is left out")
             return
         owners.update(dict.fromkeys(new.part.claims(), what))
-        found.usable[new.part.name] = new
+        joint.usable[new.part.name] = new
 
     for each in own:
         add(each)
@@ -149,15 +149,15 @@ def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
         try:
             loaded = point.load()
         except Exception as error:
-            found.problems.append(f"{what} cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}")
+            joint.problems.append(f"{what} cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}")
             continue
         if not isinstance(loaded, Part):
-            found.problems.append(f"{what} is of type {type(loaded).__name__}, expected Part")
+            joint.problems.append(f"{what} is of type {type(loaded).__name__}, expected Part")
         elif loaded.name != point.name:
-            found.problems.append(f"{what} declares part {loaded.name}, expected {point.name}")
+            joint.problems.append(f"{what} declares part {loaded.name}, expected {point.name}")
         else:
             add(InstalledPart(loaded, point.dist.version if point.dist else "", point.dist.name if point.dist else ""))
-    return found
+    return joint
 
 
 def commands_of(group: str = "") -> dict[str, PartCommand]:

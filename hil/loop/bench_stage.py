@@ -199,8 +199,8 @@ class BenchStage:
             return
         truth = self._now.truth
         rate_against_hill(truth, self._rate)
-        left = self.manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, self._rate), now_s)
-        self.axes_of(left.r, left.v, left.q, left.w, self._left)
+        remaining = self.manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, self._rate), now_s)
+        self.axes_of(remaining.r, remaining.v, remaining.q, remaining.w, self._left)
         self.command(self._left, now_s)
         self.manipulator.relate_setpoint(self._now.setpoint)
 

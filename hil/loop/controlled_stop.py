@@ -111,10 +111,10 @@ class Ramp:
         self._seen.append((now_s, position))
         while len(self._seen) > 2 and now_s - self._seen[1][0] >= OFF_RAMP_S:
             self._seen.popleft()
-        since_s, before = self._seen[0]
+        since_s, start = self._seen[0]
         if now_s - since_s < OFF_RAMP_S:
             return np.full(len(position), -math.inf)
-        return np.asarray(np.abs(position - before) / (now_s - since_s) - self._allowed(since_s))
+        return np.asarray(np.abs(position - start) / (now_s - since_s) - self._allowed(since_s))
 
 
 class ControlledStop:

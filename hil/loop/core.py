@@ -121,13 +121,13 @@ def guard_bench(params, state, t_s):
     now = state.now
     if params.bench_guard.enabled == 0:
         return guard.NOTHING
-    found = bench_guard.check_bench(
+    cause = bench_guard.check_bench(
         params.bench_guard, params.bench, state.bench_guard, t_s, now.truth, state.wanted, now.feedback,
         t_s - now.sampled_s[0], t_s - now.sampled_s[1], state.limited_in_row, state.breach,
     )  # fmt: skip
-    if found == guard.NOTHING:
+    if cause == guard.NOTHING:
         _compare_estimate(params, state)
-    return found
+    return cause
 
 
 @kernel

@@ -147,7 +147,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
 def run_tick(loop: Loop, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
     """Run a tick between two cycles, of axes that are faster: their checks and their next setpoint; raises BenchError.
 
-    Arguments as of ``run_cycle``.
+    Arguments: see ``run_cycle``.
     """
     loop.safety_io.check(bench_s)  # 0
     loop.bench.read(bench_s)  # 1

@@ -247,7 +247,7 @@ class MotionSequencer:
     def _move_to(self, target: np.record, tick: Tick) -> bool:
         """Execute one move from the present positions; return False if a hold interrupted it."""
         bench, now, mode = self.loop.bench, self.loop.now, self.modes.mode
-        wanted = new(AXES)
+        setpoint = new(AXES)
         parking = mode is Mode.PARKING
         fraction = self.safety.limits.parking_rate_fraction if parking else Move.FRACTION_OF_LIMITS
         move = Move(bench.params, now.feedback, target, fraction)
@@ -259,8 +259,8 @@ class MotionSequencer:
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
                 raise _NOT_REACHED[mode].trip("bench", "not reached", _SETTLE_S)
-            move.at(moved_s + self._step_s, wanted)
-            bench.command(wanted, tick.now_s, move.limits)
+            move.at(moved_s + self._step_s, setpoint)
+            bench.command(setpoint, tick.now_s, move.limits)
             tick = self.tick()
             if self.hold_requested(mode):
                 return False
@@ -373,9 +373,9 @@ class MotionSequencer:
         switch = (*bench.feedback[0].limit, *bench.feedback[1].limit)[jog.axis]
         if not (jog.may_move(tick.now_s, switch) and self._keeps_clear(jog, tick)):
             return bench.brake(tick.now_s, jog.params) or jog.key.pressed(tick.now_s)
-        wanted = new(AXES)
-        jog.aim(bench.motion, wanted)
-        bench.command(wanted, tick.now_s, jog.params)
+        setpoint = new(AXES)
+        jog.aim(bench.motion, setpoint)
+        bench.command(setpoint, tick.now_s, jog.params)
         return True
 
     def _keeps_clear(self, jog: Jog, tick: Tick) -> bool:

@@ -68,10 +68,10 @@ class OverrunMonitor:
         """Count the periods lost before ``tick``; raise SafetyTrip if they are too many."""
         if not tick.skipped:
             return
-        lost, before, t_s = tick.skipped / self._ticks, self._bucket.fullest, tick.now_s - tick.run_zero_s
+        lost, previous, t_s = tick.skipped / self._ticks, self._bucket.fullest, tick.now_s - tick.run_zero_s
         beyond = self._bucket.add(lost, tick.now_s)
         self._tripped &= self._bucket.level > lost
-        if self._bucket.fullest > before:
+        if self._bucket.fullest > previous:
             self._worst_s = t_s
         if beyond and self._broken is None:
             self._broken = (t_s, self._bucket.level)
@@ -89,10 +89,10 @@ class OverrunMonitor:
 
 def lateness_percentiles_us(lateness_s: Array) -> dict[str, Any]:
     """Return p50, p99, p999 and max in microseconds; None if no cycle has a lateness, as in lock-step."""
-    known = lateness_s[np.isfinite(lateness_s)]
-    if not len(known):
+    finite = lateness_s[np.isfinite(lateness_s)]
+    if not len(finite):
         return dict.fromkeys(("p50", "p99", "p999", "max"), None if len(lateness_s) else 0.0)
-    p50, p99, p999, largest = np.percentile(known * 1e6, [50.0, 99.0, 99.9, 100.0])
+    p50, p99, p999, largest = np.percentile(finite * 1e6, [50.0, 99.0, 99.9, 100.0])
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(largest)}
 
 

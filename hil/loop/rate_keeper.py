@@ -34,19 +34,19 @@ def wait_until(deadline_ns, spin_ns, timespec):
     A signal ends the sleep: the result is then earlier than the deadline, and the caller lets Python handle the signal
     and calls again. timespec: scratch, (2,) of int64.
     """
-    place = timespec.ctypes.data
-    _clock_gettime(_MONOTONIC, place)
+    address = timespec.ctypes.data
+    _clock_gettime(_MONOTONIC, address)
     now_ns = timespec[0] * _SECOND_NS + timespec[1]
     wake_ns = deadline_ns - spin_ns
     if now_ns < wake_ns:
         timespec[0], timespec[1] = wake_ns // _SECOND_NS, wake_ns % _SECOND_NS
-        interrupted = _clock_nanosleep(_MONOTONIC, _ABSOLUTE, place, 0)
-        _clock_gettime(_MONOTONIC, place)
+        interrupted = _clock_nanosleep(_MONOTONIC, _ABSOLUTE, address, 0)
+        _clock_gettime(_MONOTONIC, address)
         now_ns = timespec[0] * _SECOND_NS + timespec[1]
         if interrupted != 0:
             return now_ns
     while now_ns < deadline_ns:
-        _clock_gettime(_MONOTONIC, place)
+        _clock_gettime(_MONOTONIC, address)
         now_ns = timespec[0] * _SECOND_NS + timespec[1]
     return now_ns
 

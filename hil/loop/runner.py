@@ -313,9 +313,9 @@ class Runner:
         self._sequencer.require_resumable_hold()
         reason = self.safety.hold_reason or "commanded by the operator"
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
-        before = self._sequencer.ticks
+        previous = self._sequencer.ticks
         self._sequencer.hold(self._sequencer.tick())
-        held_s = (self._sequencer.ticks - before) * self._plan.tick_s
+        held_s = (self._sequencer.ticks - previous) * self._plan.tick_s
         self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
@@ -439,9 +439,9 @@ def _signals_counted() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield received
         return
-    before = {number: signal.signal(number, lambda n, _: received.append(n)) for number in STOP_SIGNALS}
+    handlers = {number: signal.signal(number, lambda n, _: received.append(n)) for number in STOP_SIGNALS}
     try:
         yield received
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)

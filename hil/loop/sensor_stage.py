@@ -150,8 +150,8 @@ class SensorStage:
 
     def suspect(self) -> str:
         """Return the device of the first sensor that is excluded, "" without one."""
-        found = (name for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False) if monitor.suspect)
-        return next((device_of(name) for name in found), "")
+        suspects = (name for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False) if monitor.suspect)
+        return next((device_of(name) for name in suspects), "")
 
     def states(self) -> list[SensorState]:
         """Return the present state of each sensor, in the order of the records."""
@@ -163,11 +163,11 @@ class SensorStage:
 
     def numbers(self) -> dict[str, dict[str, Any]]:
         """Return for JSON what became of the samples of each sensor, by name, and its mean NIS per component."""
-        found: dict[str, dict[str, Any]] = {}
+        numbers: dict[str, dict[str, Any]] = {}
         refused = {source.name: dict(source.refused) for source in self.sources}
         for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False):
             judged = int(monitor.judged)
-            found[name] = {
+            numbers[name] = {
                 "accepted": int(monitor.accepted),
                 "rejected": int(monitor.rejected),
                 "excluded": int(monitor.excluded),
@@ -176,7 +176,7 @@ class SensorStage:
                 "mean_nis": float(monitor.total_nis) / judged if judged else None,
                 "refused": refused.get(device_of(name), {}),
             }
-        return found
+        return numbers
 
     def close(self) -> None:
         """Release the wires of all sources."""

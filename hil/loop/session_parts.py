@@ -82,4 +82,4 @@ class SessionParts:
 
     def results_of(self, outcome: Outcome) -> list[PartResult]:
         """Return the results of all parts after the run."""
-        return [found for result in self.results if (found := result(outcome)) is not None]
+        return [part_result for result in self.results if (part_result := result(outcome)) is not None]

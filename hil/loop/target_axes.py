@@ -37,13 +37,13 @@ class TargetAxes:
 
     jogs_before_homing: ClassVar[bool] = True
 
-    def __init__(self, axes: AxisGroup, config: AxisGroupTable, place: Array, first: int = 0) -> None:
+    def __init__(self, axes: AxisGroup, config: AxisGroupTable, position: Array, first: int = 0) -> None:
         self.axes = axes
         self.rotates = config.si_per_unit != 1.0
         """Whether they rotate, rad, rather than move along lines, m."""
-        self.place_at = place
+        self.place_at = position
         """Position (n,) that ``place`` moves to."""
-        limits, n = np.array([axis.limits for axis in config.axes]), len(place)
+        limits, n = np.array([axis.limits for axis in config.axes]), len(position)
         self._smooth_s = np.array([axis.averaging_s for axis in config.axes])
         self._rate_max, self.acceleration_max, self._park_at = limits[:, 2], limits[:, 3], limits[:, 4]
         self.feedback = AxisFeedback(0.0, np.zeros(n), np.zeros(n), (Homing.NEEDED,) * n, (0,) * n)
@@ -59,7 +59,7 @@ class TargetAxes:
         self._limits = self._limits_of(_STEP_S)
         kinematics.limit_setpoint(self._limits, self._motion, self._wanted, self._next)  # loads the kernels of a jog
         stopping.brake_step(self._limits, self._motion, self._next)
-        self._stand_at(place)
+        self._stand_at(position)
 
     def open(self, now_s: float) -> None:
         """Open the axes; they hold their positions. Raises DeviceError."""
@@ -138,8 +138,8 @@ class TargetAxes:
         self._jogged = True
         if isinstance(self.axes, Jogs):
             self.axes.set_jogging(True)
-        homed, place = self.feedback.homing[axis] is Homing.DONE, self._places.start + axis
-        return Jog(self._limits, place, direction, homed, self._motion.position, rate_fraction)
+        homed, index = self.feedback.homing[axis] is Homing.DONE, self._places.start + axis
+        return Jog(self._limits, index, direction, homed, self._motion.position, rate_fraction)
 
     def jog(self, jog: Jog, now_s: float) -> None:
         """Send the next setpoint of a jog while its key is pressed."""
@@ -181,8 +181,8 @@ class TargetAxes:
 
     def _check_speeds(self) -> None:
         """Raise SafetyTrip if the reported speed of an axis is not the change of its position."""
-        if (found := self._speeds.update(self.feedback)) is not None:
-            axis, reported, moved = found
+        if (mismatch := self._speeds.update(self.feedback)) is not None:
+            axis, reported, moved = mismatch
             raise table.SPEED.trip(self.axes.axis_names[axis], reported, moved, rotates=self.rotates)
 
     def check(self, now_s: float) -> None:

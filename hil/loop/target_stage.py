@@ -29,12 +29,12 @@ class HeldAxes(TargetAxes):
     """
 
     def __init__(self, axes: AxisGroup, config: HeldAtPlace, number: int = 0, sink: Telemetry | None = None) -> None:
-        place, self._held_within = config.place
-        super().__init__(axes, config, np.array(place))
-        self._largest = np.zeros(len(place))
+        position, self._held_within = config.place
+        super().__init__(axes, config, np.array(position))
+        self._largest = np.zeros(len(position))
         self._sink = sink or NoTelemetry()
         self._sample = np.zeros(1, HELD_SAMPLE)
-        self._sample["group"], self._sample["setpoint"][0, : len(place)] = number, place
+        self._sample["group"], self._sample["setpoint"][0, : len(position)] = number, position
 
     def check(self, now_s: float) -> None:
         """Read the axes; raise SafetyTrip if one is further from its place than the rig file allows."""
@@ -210,11 +210,11 @@ class RotatedTarget(TargetAxes):
 
         Returns what is left for the chaser's rig: the motion in L.
         """
-        wanted, out = self._wanted, self._next
-        wanted.gimbal_rad, wanted.gimbal_radps = manipulator.wanted_angles(
+        setpoint, out = self._wanted, self._next
+        setpoint.gimbal_rad, setpoint.gimbal_radps = manipulator.wanted_angles(
             self.params, relative.q, relative.w, self._motion.position[3:]
         )
-        kinematics.limit_setpoint(self._limits, self._motion, wanted, out)
+        kinematics.limit_setpoint(self._limits, self._motion, setpoint, out)
         self._send(now_s)
         return manipulator.shown_motion(self.params, self._expected, self._expected_rate, relative)
 

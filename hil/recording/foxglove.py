@@ -106,7 +106,7 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
 
 def state(row: np.void) -> dict[str, Any]:
     """Return the state in ``row`` (CYCLE)."""
-    truth, estimate, found = row["truth"], row["navigation"], row["supervision"]
+    truth, estimate, supervision = row["truth"], row["navigation"], row["supervision"]
     return {
         "t_s": finite(row["t_s"]),
         "position_m": _list(truth["r_CT_H"]),
@@ -116,8 +116,8 @@ def state(row: np.void) -> dict[str, Any]:
         "sigma_mm": _list(1e3 * estimate["sigma_r_m"]),
         "nis_position": finite(estimate["nis_position"]),
         "nis_attitude": finite(estimate["nis_attitude"]),
-        "corridor_margin_m": finite(found["corridor_margin_m"]),
-        "closing_margin_mps": finite(found["closing_margin_mps"]),
+        "corridor_margin_m": finite(supervision["corridor_margin_m"]),
+        "closing_margin_mps": finite(supervision["closing_margin_mps"]),
         "phase": int(row["reference"]["phase"]),
         "thrusters_on": int(row["command"]["on"].sum()),
         "rail_m": _list(row["feedback"]["rail_m"]),

@@ -79,7 +79,7 @@ def overlay(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
                 ends[good] += [_point(u - arm, v), _point(u + arm, v), _point(u, v - arm), _point(u, v + arm)]
     return {
         "circles": circles,
-        "points": [_lines(found, when, _GOOD if good else _BAD) for good, found in ends.items() if found],
+        "points": [_lines(points, when, _GOOD if good else _BAD) for good, points in ends.items() if points],
         "texts": texts,
     }
 
@@ -125,9 +125,9 @@ def _point(u: float, v: float) -> dict[str, float]:
 def _example() -> dict[str, Any]:
     """Return an overlay with one item in each of its lists."""
     circle, text = {"kind": "circle", "at": (0, 0), "radius": 1}, {"kind": "text", "at": (0, 0), "text": ""}
-    found = overlay([circle, text, {"kind": "cross", "at": (0, 0)}], 0)
-    found["points"][0]["outline_colors"] = [_GOOD]
-    return found
+    example = overlay([circle, text, {"kind": "cross", "at": (0, 0)}], 0)
+    example["points"][0]["outline_colors"] = [_GOOD]
+    return example
 
 
 ANNOTATION_SCHEMA: Final = schema_of("foxglove.ImageAnnotations", _example())

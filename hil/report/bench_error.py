@@ -66,8 +66,8 @@ class BenchErrorSums:
         offset = linear.lengths(truth["r_CT_H"] - estimate["r_CT_H"])
         cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
         turned = 2.0 * elementary.each(elementary.acos, np.minimum(1.0, cosine))
-        known, settled = estimate["valid"] == 1, rows["t_s"] >= self._settled_s
-        for span, sums in zip((known & ~settled, known & settled), self._shares, strict=True):
+        valid, settled = estimate["valid"] == 1, rows["t_s"] >= self._settled_s
+        for span, sums in zip((valid & ~settled, valid & settled), self._shares, strict=True):
             for (part, whole), error, of in zip(sums, (distance, angle), (offset, turned), strict=True):
                 part.add(error[span])
                 whole.add(of[span])

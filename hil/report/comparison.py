@@ -51,21 +51,21 @@ def divergences(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDiv
         return []
     of_a, of_b = (deviations(rows, scenario.requirements) for rows in (a, b))
     allowed = tolerances(scenario.requirements)
-    known = (a["navigation"]["valid"] == 1) & (b["navigation"]["valid"] == 1)
-    found = []
+    valid = (a["navigation"]["valid"] == 1) & (b["navigation"]["valid"] == 1)
+    listed = []
     for row, sigma, name, unit, scale, of_sigma in _QUANTITIES:
         apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
         spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
         for i, axis in enumerate("xyz"):
             worst = int(np.argmax(apart[:, i]))
             largest, at_s = float(apart[worst, i]), float(a["t_s"][worst])
-            found.append(
+            listed.append(
                 RunDivergence(
                     f"{name} {axis}", unit, scale * largest, at_s, of_tolerance=float(largest / allowed[row][i]),
-                    **_in_sigmas(apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s),
+                    **_in_sigmas(apart[:, i], spread[:, i], valid, a["t_s"], scenario.step_s),
                 )
             )  # fmt: skip
-    return found
+    return listed
 
 
 def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
@@ -82,9 +82,9 @@ def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
     return spread
 
 
-def _in_sigmas(apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float) -> dict[str, float | None]:
+def _in_sigmas(apart: Array, spread: Array, valid: np.ndarray, t_s: Array, step_s: float) -> dict[str, float | None]:
     """Return ``sigmas``, ``beyond`` and ``left_s`` of RunDivergence."""
-    usable = known & np.isfinite(spread) & (spread > 0.0)
+    usable = valid & np.isfinite(spread) & (spread > 0.0)
     if not usable.any():
         return dict.fromkeys(("sigmas", "beyond", "left_s"))
     ratio = np.where(usable, apart / np.where(usable, spread, 1.0), 0.0)

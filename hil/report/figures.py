@@ -64,15 +64,15 @@ def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
 def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Yield title and image (a ``data:`` address) of each figure for which the run has data."""
     yield "Truth against the ready state (bench paper figures 6 and 7)", svg_address(motion(history, scenario, verdict))
-    known = history[history["navigation"]["valid"] == 1]
-    if len(known):
-        yield "Estimation error and 3 sigma (bench paper figure 5)", svg_address(_estimate(known))
-    updates = known[np.isfinite(known["navigation"]["nis_position"])]
+    valid = history[history["navigation"]["valid"] == 1]
+    if len(valid):
+        yield "Estimation error and 3 sigma (bench paper figure 5)", svg_address(_estimate(valid))
+    updates = valid[np.isfinite(valid["navigation"]["nis_position"])]
     if len(updates) > WINDOWS[0]:
         yield "Normalised innovations squared and the band of their mean", svg_address(_nis(updates))
-    if np.isfinite(known["navigation"]["protection_level_m"]).any():
-        yield "Integrity: error against protection level (Stanford diagram)", svg_address(_stanford(known, scenario))
-        yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(known))
+    if np.isfinite(valid["navigation"]["protection_level_m"]).any():
+        yield "Integrity: error against protection level (Stanford diagram)", svg_address(_stanford(valid, scenario))
+        yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(valid))
     yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
     rows, distance, angle = pose_errors(history, scenario, rig)
@@ -100,15 +100,15 @@ def _line(plot: Any, t_s: Array, values: Array, **keywords: Any) -> None:
 
 def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
     """Return the truth against the ready state (bench paper figures 6 and 7) of ``history``, (n,) of CYCLE, n > 0."""
-    wanted = scenario.requirements
-    found, allowed = deviations(history, wanted), tolerances(wanted)
+    requirements = scenario.requirements
+    deviation, allowed = deviations(history, requirements), tolerances(requirements)
     figure, axes = _axes(4, 2, 9.5, width_ratios=(2, 1))
-    last_s = float(found.t_s[-1])
+    last_s = float(deviation.t_s[-1])
     for row, (key, label, names) in enumerate(_ROWS):
         whole, close = axes[row]
         for plot in (whole, close):
             for i, name in enumerate(names):
-                _line(plot, found.t_s, getattr(found, key)[:, i], color=COLOURS[i], label=name)
+                _line(plot, deviation.t_s, getattr(deviation, key)[:, i], color=COLOURS[i], label=name)
             if verdict.ready_time_s is not None:
                 plot.axvline(verdict.ready_time_s, color="0.4", linestyle=":", linewidth=1)
         whole.set_ylabel(label)
@@ -125,21 +125,21 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
     return figure
 
 
-def _estimate(known: np.ndarray) -> Any:
+def _estimate(rows: np.ndarray) -> Any:
     figure, axes = _axes(3, 3, 6.5, sharex=True)
-    truth, estimate = known["truth"], known["navigation"]
+    truth, estimate = rows["truth"], rows["navigation"]
     for column, (title, unit, error, sigma) in enumerate(
         (
             ("position", "mm", 1e3 * (truth["r_CT_H"] - estimate["r_CT_H"]), 1e3 * estimate["sigma_r_m"]),
             ("velocity", "mm/s", 1e3 * (truth["v_CT_H"] - estimate["v_CT_H"]), 1e3 * estimate["sigma_v_mps"]),
-            ("attitude", "deg", np.degrees(attitude_error(known)), np.degrees(estimate["sigma_attitude_rad"])),
+            ("attitude", "deg", np.degrees(attitude_error(rows)), np.degrees(estimate["sigma_attitude_rad"])),
         )
     ):
         for i in range(3):
             plot = axes[i, column]
-            _band(plot, known["t_s"], 3.0 * sigma[:, i])
-            _line(plot, known["t_s"], error[:, i], color=COLOURS[i])
-            late = len(known) // 20
+            _band(plot, rows["t_s"], 3.0 * sigma[:, i])
+            _line(plot, rows["t_s"], error[:, i], color=COLOURS[i])
+            late = len(rows) // 20
             extent = np.abs(np.concatenate([error[late:, i], np.nan_to_num(3.0 * sigma[late:, i])])).max()
             if extent > 0.0 and np.isfinite(extent):
                 plot.set_ylim(-1.2 * extent, 1.2 * extent)
@@ -172,9 +172,9 @@ def _nis(updates: np.ndarray) -> Any:
     return figure
 
 
-def _stanford(known: np.ndarray, scenario: Scenario) -> Any:
-    errors, levels, limits = np.empty((3, len(known), 3))
-    stanford(integrity_params.integrity(scenario), known.view(np.ndarray), errors, levels, limits)
+def _stanford(rows: np.ndarray, scenario: Scenario) -> Any:
+    errors, levels, limits = np.empty((3, len(rows), 3))
+    stanford(integrity_params.integrity(scenario), rows.view(np.ndarray), errors, levels, limits)
     figure, axes = _axes(1, 3, 4.0)
     for i, (plot, name) in enumerate(zip(axes[0], ("along the docking axis", "across it", "attitude"), strict=True)):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -198,13 +198,13 @@ def draw_stanford(plot: Any, error: Array, level: Array) -> None:
     plot.set_ylabel("protection level / alert limit")
 
 
-def _levels(known: np.ndarray) -> Figure:
+def _levels(rows: np.ndarray) -> Figure:
     """Draw level over limit of each alert limit, and the largest term of the one that is nearest, over time."""
     figure, axes = _axes(2, 1, 5.0, sharex=True, height_ratios=(2, 1))
     share, term = axes[:, 0]
-    found, t_s = known["supervision"], known["t_s"]
+    supervision, t_s = rows["supervision"], rows["t_s"]
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = found["level"] / found["alert_limit"]
+        shares = supervision["level"] / supervision["alert_limit"]
     for i, name in enumerate(("along", "across", "attitude")):
         values = np.where(np.isfinite(shares[:, i]), shares[:, i], np.nan)
         _line(share, t_s, values, color=COLOURS[i], label=name)
@@ -212,7 +212,7 @@ def _levels(known: np.ndarray) -> Figure:
     share.set_yscale("log")
     share.set_ylabel("level / alert limit")
     share.legend(loc="upper right", fontsize=8)
-    term.step(t_s, found["level_term"], where="post", color=COLOURS[0], linewidth=0.9)
+    term.step(t_s, supervision["level_term"], where="post", color=COLOURS[0], linewidth=0.9)
     term.set_yticks(range(LEVEL_TERMS + 1), ("unknown", *TERMS[1 : LEVEL_TERMS + 1]))
     term.set_ylabel("largest term")
     term.set_xlabel("time, s")

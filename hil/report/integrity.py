@@ -58,24 +58,24 @@ def decision_part(state: np.record) -> results.Decision:
     A mean NEES may be as large as that of a consistent filter whose errors stay the same for the whole run: a quantile
     of chi-square with as many degrees of freedom as it has states.
     """
-    found = state.decision
+    decision = state.decision
     counted = [mean <= limit for mean, limit in mean_nees(state)]
     nees_ok = all(counted) if counted else None
     return results.Decision(
-        passed=bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
-        go_s=finite_or_none(found.go_s),
-        error=bool(found.error),
+        passed=bool(decision.error == 0 and decision.beyond + decision.pending == 0 and nees_ok is not False),
+        go_s=finite_or_none(decision.go_s),
+        error=bool(decision.error),
         nees_ok=nees_ok,
-        beyond_level_cycles=int(found.beyond + found.pending),
-        error_over_level=float(found.over_level),
+        beyond_level_cycles=int(decision.beyond + decision.pending),
+        error_over_level=float(decision.over_level),
     )
 
 
 def mean_nees(state: np.record) -> list[tuple[float, float]]:
     """Return mean NEES and its limit of position and attitude filter, those that have one."""
-    found = state.decision
-    means = found.nees / np.maximum(found.fused, 1)
-    return [(float(mean), limit) for mean, limit, n in zip(means, _NEES_MAX, found.fused, strict=True) if n]
+    decision = state.decision
+    means = decision.nees / np.maximum(decision.fused, 1)
+    return [(float(mean), limit) for mean, limit, n in zip(means, _NEES_MAX, decision.fused, strict=True) if n]
 
 
 def sensor_set(scenario: Scenario) -> str:
@@ -88,16 +88,16 @@ def detection(state: np.record, k: int, fault: TimedFault, stop: SafeStop | None
 
     state: INTEGRITY_STATE. stop: of the run, if it ended with one.
     """
-    found: list[tuple[float, str]] = []
+    detections: list[tuple[float, str]] = []
     reactions: list[tuple[float, str]] = []
     if not math.isnan(state.detected_s[k]):
         by = "monitor" if state.detected_health[k] == MONITOR_DISAGREES else "navigation"
-        found.append((float(state.detected_s[k]), by))
+        detections.append((float(state.detected_s[k]), by))
     if not math.isnan(state.reacted_s[k]):
         reactions.append((float(state.reacted_s[k]), REACTION_NAMES[int(state.reaction[k])]))
     if stop is not None and stop.t_s >= fault.at_s:
-        found.append((stop.t_s, stop.by))
+        detections.append((stop.t_s, stop.by))
         reactions.append((stop.t_s, SAFE_STOP))
-    detected_s, by_whom = min(found, default=(None, None))
+    detected_s, by_whom = min(detections, default=(None, None))
     reaction_s, reaction = min(reactions, default=(None, None))
     return {"detected_s": detected_s, "detected_by": by_whom, "reaction": reaction, "reaction_s": reaction_s}

@@ -38,13 +38,13 @@ def measured(rows: np.ndarray, joined: np.ndarray, step_s: float, tick_s: float)
 
     joined: ``rows`` with the row before them, unless they are the first of the run. tick_s: period of the setpoints.
     """
-    found = (
+    times = (
         pose_to_command_s(rows),
         pose_to_wire_s(joined),
         setpoint_to_encoder_s(joined, step_s, tick_s),
         pose_behind_imu_s(joined),
     )
-    return dict(zip(LATENCIES, found, strict=True))
+    return dict(zip(LATENCIES, times, strict=True))
 
 
 def pose_to_command_s(history: np.ndarray) -> Array:
@@ -61,13 +61,13 @@ def pose_to_wire_s(history: np.ndarray) -> Array:
     the next one are omitted.
     """
     wire_s, commanded_s = history["on_wire_s"], history["commanded_s"]
-    found = []
+    delays = []
     for k in np.flatnonzero(vmu_columns.has_pose(history)):
         later = wire_s[k + 1 : k + 1 + _KNOWN_WITHIN]
         changed = later[later >= commanded_s[k] - _STAMP_S]
         if k and len(changed) and (history["command"]["on"][k] != history["command"]["on"][k - 1]).any():
-            found.append(changed[0] - history["received_s"][k])
-    return np.array(found)
+            delays.append(changed[0] - history["received_s"][k])
+    return np.array(delays)
 
 
 def setpoint_to_encoder_s(history: np.ndarray, step_s: float, tick_s: float) -> Array:
@@ -78,14 +78,14 @@ def setpoint_to_encoder_s(history: np.ndarray, step_s: float, tick_s: float) -> 
     d is fitted to each window by least squares. Windows with an uncertain d are omitted.
     """
     rows = history[1:]  # the first setpoint of a run is its last one before it
-    found = []
+    delays = []
     window = max(_LEAST_SAMPLES, round(_WINDOW_S / step_s))
     for axis in range(6):
         t_s, behind, speed = _of_axis(rows, axis)
         for k in range(0, len(t_s) - window + 1, window):
             part = slice(k, k + window)
-            found += _delay_of_window(behind[part], speed[part], axis)
-    return np.array(found) + tick_s
+            delays += _delay_of_window(behind[part], speed[part], axis)
+    return np.array(delays) + tick_s
 
 
 def pose_behind_imu_s(history: np.ndarray) -> Array:
@@ -109,12 +109,12 @@ def pose_behind_imu_s(history: np.ndarray) -> Array:
     cross = 2.0 * np.cross(u, z)
     behind = r + z + w * cross + np.cross(u, cross)  # r_CT_H - (-A(q_CH).T z_TC_C)
     windows = np.floor(used["t_s"] / _POSE_WINDOW_S)
-    found = []
+    delays = []
     for window in np.unique(windows):
         chosen = windows == window
         if np.count_nonzero(chosen) >= _LEAST_SAMPLES:
-            found += _delay_of_window(behind[chosen].ravel(), v[chosen].ravel(), 0)
-    return np.array(found)
+            delays += _delay_of_window(behind[chosen].ravel(), v[chosen].ravel(), 0)
+    return np.array(delays)
 
 
 def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
@@ -130,13 +130,13 @@ def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
 
 def _of_axis(rows: np.ndarray, axis: int) -> tuple[Array, Array, Array]:
     """Return times of the encoder's samples, its lag behind the setpoint at them, and its speed."""
-    i, place, rate = (axis, "rail_m", "rail_mps") if axis < 3 else (axis - 3, "gimbal_rad", "gimbal_radps")
-    setpoint, measured, setpoint_s = rows["setpoint"], rows["feedback"][place][:, i], rows["t_s"]
-    known = rows["sampled_s"][:, axis // 3] >= (setpoint_s[0] if len(rows) else 0.0)
-    t_s = rows["sampled_s"][known, axis // 3]
+    i, position, rate = (axis, "rail_m", "rail_mps") if axis < 3 else (axis - 3, "gimbal_rad", "gimbal_radps")
+    setpoint, measured, setpoint_s = rows["setpoint"], rows["feedback"][position][:, i], rows["t_s"]
+    sampled = rows["sampled_s"][:, axis // 3] >= (setpoint_s[0] if len(rows) else 0.0)
+    t_s = rows["sampled_s"][sampled, axis // 3]
     if not len(t_s):
         return t_s, t_s, t_s
-    behind = np.interp(t_s, setpoint_s, setpoint[place][:, i]) - measured[known]
+    behind = np.interp(t_s, setpoint_s, setpoint[position][:, i]) - measured[sampled]
     return t_s, behind, np.interp(t_s, setpoint_s, setpoint[rate][:, i])
 
 
@@ -171,8 +171,8 @@ def _acknowledged_s(history: np.ndarray) -> Array:
     k = 1 + np.flatnonzero((on[1:-2] != on[:-3]).any(axis=1)) if len(history) > 3 else np.empty(0, int)
     sent_s = commanded_s[k]
     next_s, later_s = wire_s[k + 1], wire_s[k + 2]
-    found: Array = np.where(next_s >= sent_s - _LATE_STAMP_S, next_s, later_s) - sent_s
-    return found[np.isfinite(found) & (found >= -_LATE_STAMP_S)]
+    times: Array = np.where(next_s >= sent_s - _LATE_STAMP_S, next_s, later_s) - sent_s
+    return times[np.isfinite(times) & (times >= -_LATE_STAMP_S)]
 
 
 def limits_s(rig: Rig, step_s: float) -> dict[str, float]:
@@ -183,11 +183,11 @@ def limits_s(rig: Rig, step_s: float) -> dict[str, float]:
 
 def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Rig, step_s: float) -> DeviceResults:
     """Return the times of each device against its limit. beyond: number of times above their limits."""
-    found = {}
+    judged = {}
     for name, limit_s in limits_s(rig, step_s).items():
         times = {f"{key}_ms": value for key, value in percentiles(1e3 * times_s[name]).items()}
-        found[name] = times | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
-    return DeviceResults.of(found)
+        judged[name] = times | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
+    return DeviceResults.of(judged)
 
 
 def count_beyond(times_s: Mapping[str, Array], rig: Rig, step_s: float) -> dict[str, int]:

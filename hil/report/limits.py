@@ -116,8 +116,8 @@ def unit_of(name: str) -> str:
         return {"propellant": "kg", "field_of_view": "px"}[name]
     if axis in ("attitude", *_SHORT_AXES[3:]):
         return "rad"
-    known = name in (*LIMITS, "start_corridor") or name.startswith(("travel_", "error_beyond"))
-    return "m" if known else ""
+    is_length = name in (*LIMITS, "start_corridor") or name.startswith(("travel_", "error_beyond"))
+    return "m" if is_length else ""
 
 
 @dataclass(frozen=True)
@@ -186,16 +186,16 @@ def margins_of(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     return [*of_vehicle, *_part_margins(run, scenario), *(_measured(*each, run.end_s) for each in run.measured.items())]
 
 
-def _measured(name: str, found: Mapping[str, Any], end_s: float) -> Margin:
+def _measured(name: str, recorded: Mapping[str, Any], end_s: float) -> Margin:
     """Return the margin to a limit of losses, which counts as broken above it, at ``end_s`` if that ended the run."""
-    value, limit = found["value"], found["limit"]
-    at_s, broken_s = found.get("at_s"), found.get("broken_s")
-    broken = () if broken_s is None else (min(broken_s, end_s), found["broken_value"], limit)
+    value, limit = recorded["value"], recorded["limit"]
+    at_s, broken_s = recorded.get("at_s"), recorded.get("broken_s")
+    broken = () if broken_s is None else (min(broken_s, end_s), recorded["broken_value"], limit)
     return Margin(name, limit - value, at_s, value, limit, "", *broken)
 
 
 def _kernel_margins(state: np.record) -> list[Margin]:
-    found = []
+    margins = []
     for k, name in enumerate(_OF_KERNEL):
         is_broken = not math.isnan(state.broken_s[k])
         if not math.isfinite(state.margin[k]) and not is_broken:
@@ -210,8 +210,8 @@ def _kernel_margins(state: np.record) -> list[Margin]:
                 broken_limit=finite_or_none(state.broken_limit[k]),
                 broken_term=TERMS[int(state.broken_term[k])],
             )
-        found.append(margin)
-    return found
+        margins.append(margin)
+    return margins
 
 
 def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
@@ -219,7 +219,7 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
 
     What ends the run before it, a stop, an abort or a hold for a fault, is not the deviation that was left then.
     """
-    ready, found = run.stats.ready, []
+    ready, rows = run.stats.ready, []
     state = run.stats.integrity.limits
     ended = not ready.is_ready and (run.stop is not None or bool(state.aborted or _held_for(state)))
     allowed = all_tolerances(scenario.requirements)
@@ -239,17 +239,17 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
         if i == blocking:
             at = float(ready.break_s[i]) if ready.breaks[i] else at_s
             broken = (at, float(ready.break_value[i]) if ready.breaks[i] else value, limit)
-        found.append(Margin(_OF_READY[i], limit - value, at_s, finite_or_none(value), limit, "", *(broken or ())))
+        rows.append(Margin(_OF_READY[i], limit - value, at_s, finite_or_none(value), limit, "", *(broken or ())))
     if not ready.is_ready and not ended and not ready.breaks[blocking]:
         limit, value, at_s = float(allowed[blocking]), math.nan, run.end_s
         if ready.out[blocking]:
             value, at_s = float(ready.out_value[blocking]), float(ready.out_s[blocking])
         shown, name = finite_or_none(value), _OF_READY[blocking]
-        found.append(Margin(name, limit - value, at_s, shown, limit, "", at_s, shown, limit))
+        rows.append(Margin(name, limit - value, at_s, shown, limit, "", at_s, shown, limit))
     if late and not ready.breaks.any():
-        lasted, wanted = float(ready.last_s - ready.ready_s), scenario.requirements.required_ready_s
-        found.append(Margin("ready_time", lasted - wanted, run.end_s, lasted, wanted, "", run.end_s, lasted, wanted))
-    return found
+        lasted, least = float(ready.last_s - ready.ready_s), scenario.requirements.required_ready_s
+        rows.append(Margin("ready_time", lasted - least, run.end_s, lasted, least, "", run.end_s, lasted, least))
+    return rows
 
 
 def _blocking(ready: np.record) -> int:
@@ -259,34 +259,34 @@ def _blocking(ready: np.record) -> int:
 
 
 def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
-    integrity, found = run.stats.integrity, []
+    integrity, rows = run.stats.integrity, []
     nearest, keep_out = float(integrity.nearest), scenario.keep_out.radius_m
     if math.isfinite(nearest):
         broken = (float(integrity.nearest_s), nearest, keep_out) if nearest < keep_out else ()
-        found.append(Margin("keep_out", nearest - keep_out, float(integrity.nearest_s), nearest, keep_out, "", *broken))
+        rows.append(Margin("keep_out", nearest - keep_out, float(integrity.nearest_s), nearest, keep_out, "", *broken))
     margin, at_s, lost_s = run.view
     if margin is not None:
         lost = (lost_s, margin, 0.0) if margin < 0.0 else ()
-        found.append(Margin("field_of_view", margin, at_s, margin, 0.0, "", *lost))
+        rows.append(Margin("field_of_view", margin, at_s, margin, 0.0, "", *lost))
     used, allowed = run.energy.propellant_kg, run.energy.factor * run.energy.least_propellant_kg
     spent = (run.end_s, used, allowed) if used > allowed else ()
-    found.append(Margin("propellant", allowed - used, run.end_s, used, allowed, "", *spent))
+    rows.append(Margin("propellant", allowed - used, run.end_s, used, allowed, "", *spent))
     decision = integrity.decision
     if decision.error:
         k = int(decision.error_by)
         limit = float(all_tolerances(scenario.requirements)[k])
         value = float(decision.error_value)
-        found.append(
+        rows.append(
             Margin("decision", limit - value, float(decision.error_s), value, limit, "", float(decision.error_s), value,
                    limit)
         )  # fmt: skip
     if decision.beyond + decision.pending > 0:
         since = float(decision.beyond_s if decision.beyond else decision.pending_s)
-        found.append(Margin("error_beyond_level", math.nan, since, None, None, "", since))
+        rows.append(Margin("error_beyond_level", math.nan, since, None, None, "", since))
     for name, (mean, limit) in zip(("nees_position", "nees_attitude"), mean_nees(integrity), strict=False):
         if not mean <= limit:
-            found.append(Margin(name, limit - mean, run.end_s, finite_or_none(mean), limit, "", run.end_s, mean, limit))
-    return found
+            rows.append(Margin(name, limit - mean, run.end_s, finite_or_none(mean), limit, "", run.end_s, mean, limit))
+    return rows
 
 
 def _held_for(state: np.record) -> str:
@@ -297,16 +297,16 @@ def _held_for(state: np.record) -> str:
 
 def _ended(run: RunNumbers) -> list[Margin]:
     """Return what ended the approach: the cause of hold or abort, the stop, a part that was not passed for no limit."""
-    state, found = run.stats.integrity.limits, []
+    state, events = run.stats.integrity.limits, []
     cause = int(state.aborted)
     name = _CAUSES.get(cause)
     if name is not None:
-        found.append(_event(name, float(state.aborted_at_s)))
+        events.append(_event(name, float(state.aborted_at_s)))
     if held_for := _held_for(state):
-        found.append(_event(held_for, float(state.held_s)))
+        events.append(_event(held_for, float(state.held_s)))
     if run.stop is not None:
-        found.append(_event(run.stop.name, run.stop.t_s, run.stop.value, run.stop.limit))
-    return found
+        events.append(_event(run.stop.name, run.stop.t_s, run.stop.value, run.stop.limit))
+    return events
 
 
 def _event(name: str, t_s: float, value: float | None = None, limit: float | None = None) -> Margin:
@@ -324,7 +324,7 @@ def first_violated(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin
 
 
 def _first(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin]) -> Margin | None:
-    """Return the cause; of limits that were broken at the same time the one that comes first in LIMITS."""
+    """Return the margin of the cause: the first broken limit, or of simultaneous ones the first in LIMITS."""
     required = required_parts(scenario.requirements.required_parts, run.parts)
     missed = {part for part in required if not run.parts.get(part, False)}
     state = run.stats.integrity.limits
@@ -357,22 +357,22 @@ def alarms_before(state: np.record, t_s: float | None) -> str:
     return "; ".join(f"{name} {at_s:.2f} s" for at_s, name in rows if t_s is None or at_s <= t_s)
 
 
-def sentence(found: Mapping[str, Any]) -> str:
-    """Return the first violated limit of ``found``, by the names of the columns, as a sentence; "" without one."""
-    name = found["first_violated"]
+def sentence(case: Mapping[str, Any]) -> str:
+    """Return the first violated limit of ``case``, by the names of the columns, as a sentence; "" without one."""
+    name = case["first_violated"]
     if not name:
         return ""
     text = f"the {words_of(name)}"
-    value, limit, unit = found["first_violated_value"], found["first_violated_limit"], unit_of(name)
+    value, limit, unit = case["first_violated_value"], case["first_violated_limit"], unit_of(name)
     if value is not None and limit is not None:
         text += f" is {shown(value, unit)}, {bound(name)} {shown(limit, unit)}"
     else:
         text += " is beyond what is allowed" if name in _PARTS else " ends the approach"
-    if found["first_violated_s"] is not None:
-        text += f", at {found['first_violated_s']:.2f} s"
-    if found["first_violated_phase"]:
-        text += f" in phase {found['first_violated_phase']}"
-    return f"{text}, most of it {found['first_violated_term']}" if found["first_violated_term"] else text
+    if case["first_violated_s"] is not None:
+        text += f", at {case['first_violated_s']:.2f} s"
+    if case["first_violated_phase"]:
+        text += f" in phase {case['first_violated_phase']}"
+    return f"{text}, most of it {case['first_violated_term']}" if case["first_violated_term"] else text
 
 
 def why_of(summary: Mapping[str, Any]) -> dict[str, Any]:

@@ -106,12 +106,12 @@ def _step(elapsed_s: float, noise: tuple[tuple[float, ...], ...]) -> tuple[Array
 
     An error of the IMU is subtracted from what it is a part of. The noise enters in mid-interval.
     """
-    found = []
+    steps = []
     for signs, densities in zip(((1.0, -1.0), (-1.0, 0.0)), noise, strict=True):
         f = np.eye(3)
         f[0, 1], f[1, 2] = elapsed_s * signs[0], elapsed_s * signs[1]
         f[0, 2] = 0.5 * f[0, 1] * f[1, 2]
         middle = 0.5 * (np.eye(3) + f)
-        found.append((f, elapsed_s * linear.product(middle * np.array(densities), middle.T)))
-    transitions, added = zip(*found, strict=True)
+        steps.append((f, elapsed_s * linear.product(middle * np.array(densities), middle.T)))
+    transitions, added = zip(*steps, strict=True)
     return np.array(transitions), np.array(added)

@@ -146,8 +146,8 @@ def _numbers(results: RunResults) -> Iterator[str]:
     if sensors := results.sensors:
         keys = ("accepted", "rejected", "excluded", "too_late", "suspected", "mean_nis")
         samples = [
-            (name, *("-" if found[key] is None else f"{found[key]:.6g}" for key in keys))
-            for name, found in sensors.items()
+            (name, *("-" if sensor[key] is None else f"{sensor[key]:.6g}" for key in keys))
+            for name, sensor in sensors.items()
         ]
         yield html.table(("sensor", *(key.replace("_", " ") for key in keys)), samples)
     if drift := results.drift_check:
@@ -203,7 +203,7 @@ def _configuration(recorded: Recorded) -> Iterator[str]:
 
 def _comparison(runs: Sequence[Judged]) -> Iterator[str]:
     numbers = [dict(key_numbers(run.results)) for run in runs]
-    rows = [(label, *(found[label] for found in numbers)) for label in numbers[0]]
+    rows = [(label, *(column[label] for column in numbers)) for label in numbers[0]]
     yield html.table(("", *(run.name for run in runs)), rows, "Side by side")
     if not same_flight([run.recorded.run for run in runs]):
         yield html.paragraph("The runs have different scenarios: their trajectories are not compared.", "note")
@@ -217,15 +217,15 @@ def _divergences(first: Judged, other: Judged) -> str:
     a, b = first.recorded, other.recorded
     rows = [
         (
-            found.name,
-            f"{found.largest:.4g} {found.unit}",
-            f"{found.at_s:.2f}",
-            "-" if found.sigmas is None else f"{found.sigmas:.1f}",
-            "-" if found.beyond is None else f"{100.0 * found.beyond:.1f} %",
-            "never" if found.left_s is None else f"{found.left_s:.2f}",
-            f"{100.0 * found.of_tolerance:.0f} %",
+            divergence.name,
+            f"{divergence.largest:.4g} {divergence.unit}",
+            f"{divergence.at_s:.2f}",
+            "-" if divergence.sigmas is None else f"{divergence.sigmas:.1f}",
+            "-" if divergence.beyond is None else f"{100.0 * divergence.beyond:.1f} %",
+            "never" if divergence.left_s is None else f"{divergence.left_s:.2f}",
+            f"{100.0 * divergence.of_tolerance:.0f} %",
         )
-        for found in divergences(a.cycles, b.cycles, a.scenario)
+        for divergence in divergences(a.cycles, b.cycles, a.scenario)
     ]
     head = (
         "truth",

@@ -191,10 +191,10 @@ class NavigationResults(Results):
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:
         """Return the results of JSON ``content``; versions without the filters' sigmas had another bound."""
-        found = super().of(content)
+        navigation = super().of(content)
         if "position_sigma_m" not in content:
-            found.position_bound_m = found.attitude_bound_deg = None
-        return found
+            navigation.position_bound_m = navigation.attitude_bound_deg = None
+        return navigation
 
 
 class ThrusterUse(Results):
@@ -357,13 +357,13 @@ class RunResults(Results):
 
     def parts(self) -> dict[str, PartResults]:
         """Return the parts of the verdict by name; earlier versions have fewer."""
-        found = {name: getattr(self, name, None) or getattr(self.verdict, name, None) for name in PART_COLUMNS}
-        return {name: part for name, part in found.items() if part is not None}
+        of_part = {name: getattr(self, name, None) or getattr(self.verdict, name, None) for name in PART_COLUMNS}
+        return {name: part for name, part in of_part.items() if part is not None}
 
     def missed_parts(self) -> list[str]:
         """Return the required parts that the run did not pass."""
-        found = self.parts()
-        return [name for name in self.required_parts if not (name in found and found[name].passed)]
+        judged = self.parts()
+        return [name for name in self.required_parts if not (name in judged and judged[name].passed)]
 
     def not_required_text(self) -> str:
         """Return the parts that the scenario does not require, each with its outcome, in brackets; "" without any."""

@@ -57,17 +57,17 @@ def summarise(
         tally = Tally(scenario, rig)
         tally.add(history)
         numbers = tally.numbers()
-    found, stats, verdict = numbers
+    results, stats, verdict = numbers
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     measured = outcome.measured
-    found.bench.limited_cycles = outcome.limited_cycles
+    results.bench.limited_cycles = outcome.limited_cycles
     for name, error in measured.get("bench", {}).items():
-        setattr(found.bench, name, RmsMax.of(error))
+        setattr(results.bench, name, RmsMax.of(error))
     for name, rate_hz_of in measured.get("exchanges", {}).items():
-        getattr(found.timing.devices, name).exchange_hz = rate_hz_of
-    found = replace(
-        found,
+        getattr(results.timing.devices, name).exchange_hz = rate_hz_of
+    results = replace(
+        results,
         scenario=scenario.name,
         build=build_info()._asdict(),
         seed=seed,
@@ -85,7 +85,7 @@ def summarise(
         vision=outcome.vision_counters,
         drift_check=measured.get("drift_check") or None,
         timing=replace(
-            found.timing,
+            results.timing,
             rate_hz=rate_hz,
             axes_rate_hz=rate_hz * rig.ticks(scenario.step_s),
             imu_rate_hz=rate_hz * scenario.imu_samples,
@@ -108,9 +108,9 @@ def summarise(
         faults=outcome.faults,
         alarms=[alarm.as_json() for alarm in outcome.alarms],
     )
-    found.passed_all_parts = passed and all(part.passed for part in found.parts().values())
-    found.accepted, found.required_parts = acceptance(found, scenario.requirements)
-    return found.as_json() | limits_of(outcome, stats, found, scenario), verdict
+    results.passed_all_parts = passed and all(part.passed for part in results.parts().values())
+    results.accepted, results.required_parts = acceptance(results, scenario.requirements)
+    return results.as_json() | limits_of(outcome, stats, results, scenario), verdict
 
 
 def limits_of(outcome: Outcome, stats: np.record, results: RunResults, scenario: Scenario) -> dict[str, Any]:
@@ -125,9 +125,9 @@ def limits_of(outcome: Outcome, stats: np.record, results: RunResults, scenario:
     seen, measured = (view.margin_px, view.at_s, view.at_s), outcome.measured.get("limits", {})
     run = RunNumbers(stats, parts, seen, results.verdict.energy, end_s, bool(results.accepted), stop, measured)
     margins = margins_of(run, scenario)
-    found = first_violated(run, scenario, margins)
-    return found | {
-        "alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"]),
+    first = first_violated(run, scenario, margins)
+    return first | {
+        "alarms_before": alarms_before(stats.integrity.limits, first["first_violated_s"]),
         "limits": {each.name: each.as_json() for each in margins},
     }
 
@@ -135,8 +135,8 @@ def limits_of(outcome: Outcome, stats: np.record, results: RunResults, scenario:
 def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
-        found = acceptance(RunResults.of(recorded.summary), recorded.scenario.requirements)
-        of_earlier_versions = dict(zip(("accepted", "required_parts"), found, strict=True))
+        accepted = acceptance(RunResults.of(recorded.summary), recorded.scenario.requirements)
+        of_earlier_versions = dict(zip(("accepted", "required_parts"), accepted, strict=True))
         waived = [waiver.as_json() for waiver in waivers(recorded.rig, recorded.scenario)]
         return {"waived": waived, **of_earlier_versions, **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
@@ -159,15 +159,15 @@ def safe_stop(outcome: Outcome, scenario: Scenario) -> SafeStop | None:
     return SafeStop(float(outcome.history["t_s"][-1]) + scenario.step_s, by)
 
 
-def injected(fault: TimedFault, found: dict[str, Any]) -> dict[str, Any]:
-    """Return a fault that was injected; found: of ``detection``."""
+def injected(fault: TimedFault, detected: dict[str, Any]) -> dict[str, Any]:
+    """Return a fault that was injected; detected: of ``detection``."""
     return {
         "device": fault.device,
         "kind": fault.kind,
         "at_s": fault.at_s,
         "until_s": fault.until_s,
         "value": list(fault.values),
-        **found,
+        **detected,
     }
 
 
@@ -189,8 +189,15 @@ def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
     """Return who commissioned the rig and whether that was waived; None if no hardware moves."""
     if rig.kind != "hardware":
         return None
-    found, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
-    return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by, "key": found.key}
+    signed, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
+    return {
+        "valid": not gap,
+        "gap": gap,
+        "waived": signed.waived,
+        "date": signed.date,
+        "by": signed.by,
+        "key": signed.key,
+    }
 
 
 _AXES: Final = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -53,8 +53,8 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     if run.gnc and run.gnc["library"] is not None:
         yield Text(f"GNC         {run.gnc['library']}")
     yield _navigation_text(run.navigation)
-    for name, found in (run.sensors or {}).items():
-        yield Text(f"Sensor      {name}: {_sensor_text(found)}")
+    for name, sensor in (run.sensors or {}).items():
+        yield Text(f"Sensor      {name}: {_sensor_text(sensor)}")
     use, one, two = run.thrusters, number(".1f"), number(".2f")
     yield (
         f"Thrusters   force demand {one(use.force_on_time_s)} s, torque demand {one(use.torque_on_time_s)} s "
@@ -69,11 +69,11 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     yield from _timing_lines(run.timing)
 
 
-def _sensor_text(found: dict[str, Any]) -> str:
-    counts = [f"{found[key]} {key.replace('_', ' ')}" for key in ("accepted", "rejected", "excluded", "too_late")]
-    nis = "" if found["mean_nis"] is None else f", mean NIS per component {found['mean_nis']:.2f}"
-    suspect = f", suspect {found['suspected']} times" if found["suspected"] else ""
-    reasons = "; ".join(f"{n} refused: {reason}" for reason, n in found["refused"].items())
+def _sensor_text(sensor: dict[str, Any]) -> str:
+    counts = [f"{sensor[key]} {key.replace('_', ' ')}" for key in ("accepted", "rejected", "excluded", "too_late")]
+    nis = "" if sensor["mean_nis"] is None else f", mean NIS per component {sensor['mean_nis']:.2f}"
+    suspect = f", suspect {sensor['suspected']} times" if sensor["suspected"] else ""
+    reasons = "; ".join(f"{n} refused: {reason}" for reason, n in sensor["refused"].items())
     return "; ".join(filter(None, (f"{', '.join(counts)}{nis}{suspect}", reasons)))
 
 
@@ -301,9 +301,9 @@ def _clocks_text(clocks: dict[str, Any], vision: dict[str, int]) -> str:
 
 def _drift_text(drift: dict[str, Any]) -> str:
     """Return the result of the drift check before the run."""
-    found = f"{' or '.join(drift['moved'])} moved by {drift['shift_px']:.3f} px RMS" if drift["moved"] else "no drift"
-    known = f"calibration {drift['calibration']} of {drift['date']}"
-    return f"{found} since {known}: {drift['views']} views, residuals {drift['rms_px']:.3f} px RMS"
+    moved = f"{' or '.join(drift['moved'])} moved by {drift['shift_px']:.3f} px RMS" if drift["moved"] else "no drift"
+    calibration = f"calibration {drift['calibration']} of {drift['date']}"
+    return f"{moved} since {calibration}: {drift['views']} views, residuals {drift['rms_px']:.3f} px RMS"
 
 
 def _reason(run: RunResults, verdict: Verdict) -> str:

@@ -56,10 +56,10 @@ class Verdict:
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     """Return the deviations of the truth in ``history`` (n,) of CYCLE."""
     truth = history["truth"]
-    found = np.empty((len(history), ready_phase.DEVIATIONS))
+    array = np.empty((len(history), ready_phase.DEVIATIONS))
     r, v, q, w_c, w_h = (np.ascontiguousarray(truth[name]) for name in ("r_CT_H", "v_CT_H", "q_CH", "w_CI_C", "w_HI_H"))
-    ready_phase.all_deviations(ready_params(requirements), r, v, q, w_c, w_h, found)
-    return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
+    ready_phase.all_deviations(ready_params(requirements), r, v, q, w_c, w_h, array)
+    return Deviations(history["t_s"], array[:, 0:3], array[:, 3:6], array[:, 6:9], array[:, 9:12])
 
 
 def verdict_of(state: np.record, requirements: Requirements) -> Verdict:

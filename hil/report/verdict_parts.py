@@ -67,13 +67,13 @@ def navigation_means(sums: np.record, span: int) -> dict[str, Any]:
     n, updates = int(sums.estimates[span]), sums.updates[span]
     squares = np.concatenate([sums.square_error[span], sums.square_sigma[span]]).reshape(5, 3)
     rms = np.sqrt(squares / n) if n else np.full((5, 3), np.nan)
-    found: dict[str, Any] = {
+    means: dict[str, Any] = {
         name: (values * unit).tolist() if np.isfinite(values).all() else None
         for name, values, unit in zip(_RMS_KEYS, rms, _DEGREES, strict=True)
     }
     for k, name in enumerate(("nees_pkf", "nees_akf")):
-        found[name] = float(sums.nees[span, k] / updates[k]) if updates[k] else None
-    return found
+        means[name] = float(sums.nees[span, k] / updates[k]) if updates[k] else None
+    return means
 
 
 def attitude_error(history: np.ndarray) -> Array:

@@ -87,9 +87,9 @@ class HealthAlarms:
         """Return the alarm of ``bit``, at no time."""
         if bit is GncHealth.MONITOR_DISAGREES:
             texts = ("beyond both sigmas", "within both sigmas")
-            found = self._disagreement() or table.NAVIGATION_POSE.alarm(0.0, self._witness, *texts)
-            self._witness = found.device
-            return found
+            alarm = self._disagreement() or table.NAVIGATION_POSE.alarm(0.0, self._witness, *texts)
+            self._witness = alarm.device
+            return alarm
         if bit is not GncHealth.SENSOR_SUSPECT:
             return self._of_bits[bit]
         self._excluded = self._suspect() or self._excluded

@@ -29,9 +29,9 @@ _BENCH: Final = {
 }
 
 
-def breach_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.record) -> Alarm:
-    """Return the alarm of a breach. code: as returned by the kernels of the guards; found: BREACH."""
-    axis, value, low, high = int(found.axis), float(found.value), float(found.low), float(found.high)
+def breach_alarm(now_s: float, axis_names: Sequence[str], code: int, breach: np.record) -> Alarm:
+    """Return the alarm of a breach. code: as returned by the kernels of the guards; breach: BREACH."""
+    axis, value, low, high = int(breach.axis), float(breach.value), float(breach.low), float(breach.high)
     source, closing = "", f" and more at a closing rate of {low:.4f} m/s"
     if code > guard.BY_ENCODERS:
         code, source = code - guard.BY_ENCODERS, " by the encoders"

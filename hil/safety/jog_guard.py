@@ -38,10 +38,10 @@ class JogGuard:
 
         rate: of the jog with its sign, m/s or rad/s. feedback: AXES.
         """
-        wanted = new(AXES)
-        wanted.rail_m, wanted.gimbal_rad = feedback.rail_m, feedback.gimbal_rad
-        wanted["rail_mps" if axis < 3 else "gimbal_radps"][axis % 3] = rate
-        return self._alarm(now_s, self._early, wanted, wanted)
+        setpoint = new(AXES)
+        setpoint.rail_m, setpoint.gimbal_rad = feedback.rail_m, feedback.gimbal_rad
+        setpoint["rail_mps" if axis < 3 else "gimbal_radps"][axis % 3] = rate
+        return self._alarm(now_s, self._early, setpoint, setpoint)
 
     def check_position(self, axes: np.record) -> Alarm | None:
         """Return the alarm if ``axes`` (AXES), at rest there, would be within the volume, None if outside it."""
@@ -54,8 +54,8 @@ class JogGuard:
         return None if code == NOTHING else breach_alarm(now_s, (), code, self._breach)
 
     def _alarm(self, now_s: float, guard: np.record, setpoint: np.record, axes: np.record) -> Alarm | None:
-        found = self._found(now_s, guard, axes)
-        return found if found is not None and not self._leaves(setpoint) else None
+        alarm = self._found(now_s, guard, axes)
+        return alarm if alarm is not None and not self._leaves(setpoint) else None
 
     def _leaves(self, setpoint: np.record) -> bool:
         """Return whether axes at ``setpoint`` come no deeper into any part with its rates; never if bodies meet."""

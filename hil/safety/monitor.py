@@ -178,8 +178,8 @@ class SafetyMonitor:
     def _check_speeds(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm | None:
         """Return the alarm of an axis whose reported speed is not the change of its position."""
         for device, (check, feedback) in enumerate(zip(self._speed_checks, (rails, turntable), strict=True)):
-            if (found := check.update(feedback)) is not None:
-                axis, reported, moved = found
+            if (mismatch := check.update(feedback)) is not None:
+                axis, reported, moved = mismatch
                 name = self._axis_names[3 * device + axis]
                 return table.SPEED.alarm(now_s, name, reported, moved, rotates=device == 1)
         return None

@@ -83,14 +83,14 @@ class FileTable(OpenTable):
     def added_tables(cls) -> dict[str, type[BaseModel]]:
         """Return the models of the tables that parts add to the file, by their keys. Raises BadInput for a part without
         its model."""
-        found = {}
+        tables = {}
         for key, path in declared("tables").items():
             if path and cls.owns(key):
                 if (name := key.removeprefix(cls.prefix)) in cls.model_fields:
                     text = "declared by a part, but a key of the program itself: remove that part, see hil list parts"
                     raise BadInput.single(GROUP, f"[{key}]", text)
-                found[name] = _model_of_part(key, path)
-        return found
+                tables[name] = _model_of_part(key, path)
+        return tables
 
     @classmethod
     def owns(cls, key: str) -> bool:

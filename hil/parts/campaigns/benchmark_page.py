@@ -56,26 +56,26 @@ def above_table_v(row: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
 
 
-def rows_and_ideals(found: dict[str, Any]) -> list[dict[str, Any]]:
+def rows_and_ideals(content: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the rows, and after each what physics leaves of its misses, if that was flown."""
-    return [each for row in found["rows"] for each in (row, *row.get("ideal", {}).values())]
+    return [each for row in content["rows"] for each in (row, *row.get("ideal", {}).values())]
 
 
-def page_of(found: dict[str, Any]) -> str:
+def page_of(content: dict[str, Any]) -> str:
     """Return the page of the numbers of ``hil.parts.campaigns.api.benchmark.fly``."""
-    gnc = ", ".join(f"{key} = {value}" for key, value in found["gnc"].items()) or "the GNC of each scenario"
+    gnc = ", ".join(f"{key} = {value}" for key, value in content["gnc"].items()) or "the GNC of each scenario"
     body = [
         html.heading(1, "Benchmark"),
-        html.paragraph(f"{gnc}. {found['runs']} cases per row, seed {found['seed']}."),
+        html.paragraph(f"{gnc}. {content['runs']} cases per row, seed {content['seed']}."),
         html.paragraph(MEANING),
-        html.table(HEAD, [cells_of(row) for row in rows_and_ideals(found)], "Campaigns"),
-        html.paragraph(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core."),
+        html.table(HEAD, [cells_of(row) for row in rows_and_ideals(content)], "Campaigns"),
+        html.paragraph(f"{content['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core."),
     ]
-    deviations = [(row["row"], *cells) for row in rows_and_ideals(found) for cells in above_table_v(row)]
+    deviations = [(row["row"], *cells) for row in rows_and_ideals(content) for cells in above_table_v(row)]
     if deviations:
         columns = ("row", "deviation in the ready phase", "largest of all cases", "Table V")
         body.append(html.table(columns, deviations, "Above Table V, m, m/s, deg, deg/s"))
-    if "against" in found:
+    if "against" in content:
         rows = [
             (
                 row["row"],
@@ -84,9 +84,9 @@ def page_of(found: dict[str, Any]) -> str:
                 str(row["only_second"]),
                 "-" if row["saved_kg"] is None else f"{1e3 * row['saved_kg']:+.1f}",
             )
-            for row in found["against"]["rows"]
+            for row in content["against"]["rows"]
         ]
         head = ("row", "cases", "accepted here alone", "accepted there alone", "propellant saved, g, median")
-        body.append(html.table(head, rows, f"Case by case against {found['against']['folder']}"))
-    body.append(html.folded("Numbers", json.dumps(found, indent=1)))
+        body.append(html.table(head, rows, f"Case by case against {content['against']['folder']}"))
+    body.append(html.folded("Numbers", json.dumps(content, indent=1)))
     return html.page("Benchmark", body)

@@ -157,8 +157,8 @@ def _limits(
     end_s = max(0, int(stats.cycles) - 1) * scenario.step_s
     run = RunNumbers(stats, parts, (view[0], view[1], view[2]), energy, end_s, accepted, ended)
     margins = margins_of(run, scenario) if stats.cycles else []
-    found = first_violated(run, scenario, margins)
-    columns = found | {"alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"])}
+    reason = first_violated(run, scenario, margins)
+    columns = reason | {"alarms_before": alarms_before(stats.integrity.limits, reason["first_violated_s"])}
     columns |= dict.fromkeys(MARGINS) | dict.fromkeys(_TERM_COLUMNS, "")
     for each in margins:
         if each.name in LIMITS:
@@ -176,14 +176,14 @@ def failed_row(reason: str) -> dict[str, Any]:
 
 
 def _navigation(stats: np.record) -> dict[str, float | None]:
-    found = navigation_means(stats.navigation, SETTLED)
+    means = navigation_means(stats.navigation, SETTLED)
     triples = {
-        name: found[name] or [None] * 3 for name in ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")
+        name: means[name] or [None] * 3 for name in ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")
     }
     return {
         **{f"{name}_{axis}": value for name, of in triples.items() for axis, value in zip(_AXES, of, strict=True)},
-        "nees_pkf": found["nees_pkf"],
-        "nees_akf": found["nees_akf"],
+        "nees_pkf": means["nees_pkf"],
+        "nees_akf": means["nees_akf"],
     }
 
 
@@ -195,9 +195,9 @@ def _fault(truth: Scenario, stats: np.record) -> dict[str, Any]:
     if stats.ended != COMPLETED_CODE:
         by = "guard" if is_of_guard(int(stats.ended)) else "device"
         stop = SafeStop(int(stats.cycles) * truth.step_s, by)
-    found = detection(stats.integrity, len(truth.faults) - 1, fault, stop)
+    detected = detection(stats.integrity, len(truth.faults) - 1, fault, stop)
     return {
-        **{name: value or "" if name in _TEXTS_OF_FAULT else value for name, value in found.items()},
+        **{name: value or "" if name in _TEXTS_OF_FAULT else value for name, value in detected.items()},
         "fault_device": fault.device,
         "fault_kind": fault.kind,
         "fault_at_s": fault.at_s,

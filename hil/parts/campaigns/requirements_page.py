@@ -52,7 +52,7 @@ class EvidenceRow(NamedTuple):
         return self._asdict()
 
 
-def campaign_rows(found: Iterable[Requirement], identity: Mapping[str, Any]) -> list[EvidenceRow]:
+def campaign_rows(requirements: Iterable[Requirement], identity: Mapping[str, Any]) -> list[EvidenceRow]:
     """Return the evidence of a campaign. identity: of the campaign, as in its folder."""
     of = f"seed {identity.get('seed', '-')}, digest {identity.get('digest', '-')}"
     return [
@@ -66,30 +66,30 @@ def campaign_rows(found: Iterable[Requirement], identity: Mapping[str, Any]) -> 
             each["margin"],
             each["verdict"],
         )
-        for each in found
+        for each in requirements
     ]
 
 
-def run_row(found: Requirement, step: str, evidence: str, value: float | None) -> EvidenceRow:
+def run_row(judged: Requirement, step: str, evidence: str, value: float | None) -> EvidenceRow:
     """Return the evidence of a run for a requirement of a campaign. value: of its outcome, None without one."""
-    text = f"{found['text']} ({limit_text(found)})"
+    text = f"{judged['text']} ({limit_text(judged)})"
     if value is None:
-        return EvidenceRow(found["id"], text, step, "test", evidence, "outcome not reached", None, NOT_VERIFIED)
-    margin = found["limit"] - value if found["side"] == "at most" else value - found["limit"]
+        return EvidenceRow(judged["id"], text, step, "test", evidence, "outcome not reached", None, NOT_VERIFIED)
+    margin = judged["limit"] - value if judged["side"] == "at most" else value - judged["limit"]
     status = VERIFIED if margin >= 0.0 else NOT_VERIFIED
-    return EvidenceRow(found["id"], text, step, "test", evidence, f"{found['column']} {value:.5g}", margin, status)
+    return EvidenceRow(judged["id"], text, step, "test", evidence, f"{judged['column']} {value:.5g}", margin, status)
 
 
 def with_open_steps(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
     """Return ``rows`` sorted by requirement, in their first order, and step, with an open row for each missing step."""
     order = list(dict.fromkeys(row.id for row in rows))
-    found = []
+    steps = []
     for identifier in order:
         own = [row for row in rows if row.id == identifier]
         for step in STEPS:
             there = [row for row in own if row.step == step]
-            found += there or [EvidenceRow(identifier, own[0].text, step, "-", _MISSING[step], "-", None, OPEN)]
-    return found
+            steps += there or [EvidenceRow(identifier, own[0].text, step, "-", _MISSING[step], "-", None, OPEN)]
+    return steps
 
 
 def requirements_page(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> str:
@@ -151,31 +151,31 @@ def _state(rows: Sequence[EvidenceRow]) -> str:
 
 
 def _cells(rows: Sequence[EvidenceRow]) -> list[tuple[str, ...]]:
-    found: list[tuple[str, ...]] = []
+    cells: list[tuple[str, ...]] = []
     for own in _by_requirement(rows):
         for i, row in enumerate(own):
             margin = "-" if row.margin is None else f"{row.margin:.4g}"
             status = row.status if row.status in (VERIFIED, OPEN) else f"fail: {row.status}"
             named = (row.id, row.text) if i == 0 else ("", "")
-            found.append((*named, row.step, row.method, row.evidence, row.result, margin, status))
-    return found
+            cells.append((*named, row.step, row.method, row.evidence, row.result, margin, status))
+    return cells
 
 
-def limit_text(found: Requirement) -> str:
+def limit_text(judged: Requirement) -> str:
     """Return limit, probability and risk of a requirement as text."""
     return (
-        f"{found['column']} {found['side']} {found['limit']:g} in {100.0 * found['probability']:g} % of the cases, "
-        f"consumer risk {100.0 * found['consumer_risk']:g} %"
+        f"{judged['column']} {judged['side']} {judged['limit']:g} in {100.0 * judged['probability']:g} % of the cases, "
+        f"consumer risk {100.0 * judged['consumer_risk']:g} %"
     )
 
 
-def result_text(found: Requirement) -> str:
+def result_text(judged: Requirement) -> str:
     """Return the result of a requirement as text."""
-    text = f"{found['failures']} of {found['cases']} failed"
-    if found["verdict"] == "too few cases":
-        return f"{text}, {found['cases_needed']} cases are needed"
-    bound = "" if found["bound"] is None else f", tolerance bound {found['bound']:.5g}"
-    return f"{text}, {found['allowed_failures']} allowed{bound}"
+    text = f"{judged['failures']} of {judged['cases']} failed"
+    if judged["verdict"] == "too few cases":
+        return f"{text}, {judged['cases_needed']} cases are needed"
+    bound = "" if judged["bound"] is None else f", tolerance bound {judged['bound']:.5g}"
+    return f"{text}, {judged['allowed_failures']} allowed{bound}"
 
 
 def junit(scenario: str, rows: Sequence[EvidenceRow]) -> str:

@@ -158,17 +158,17 @@ class Authenticator:
         use, and both places are logged.
         """
         operator, client, proof = (str(hello.get(field, "")) for field in ("operator", "key", "proof"))
-        known = self._operators.get(operator)
-        expected = (known or _UNKNOWN).proof(challenge, host, client)
-        if not hmac.compare_digest(proof.encode(errors="replace"), expected.encode()) or known is None:
+        key = self._operators.get(operator)
+        expected = (key or _UNKNOWN).proof(challenge, host, client)
+        if not hmac.compare_digest(proof.encode(errors="replace"), expected.encode()) or key is None:
             raise RequestRejected("this console requires the key of an operator: choose its file")
-        if known.addresses and origin[0] not in known.addresses:
-            return self._turn_away(known, f"is not accepted from {origin[0]}, only from {', '.join(known.addresses)}")
-        elsewhere = next((c for c in self._service.clients if c.key_id == known.id and c.origin != origin), None)
+        if key.addresses and origin[0] not in key.addresses:
+            return self._turn_away(key, f"is not accepted from {origin[0]}, only from {', '.join(key.addresses)}")
+        elsewhere = next((c for c in self._service.clients if c.key_id == key.id and c.origin != origin), None)
         if elsewhere is not None:
             at = f"{elsewhere.origin[0]}{'' if elsewhere.origin[0] != origin[0] else ' by another browser'}"
-            return self._turn_away(known, f"was refused from {origin[0]}: it is in use at {at}")
-        return Client(known.id, known.name, known.id, known.rights, origin)
+            return self._turn_away(key, f"was refused from {origin[0]}: it is in use at {at}")
+        return Client(key.id, key.name, key.id, key.rights, origin)
 
     def _turn_away(self, key: OperatorKey, text: str) -> Client:
         self._service.log(f"the key of {key.name} {text}; if that is a copy, replace the key")

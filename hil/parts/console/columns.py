@@ -183,7 +183,7 @@ def _one_each(groups: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     out[:, _THRUSTERS] = np.bitwise_or.reduce(groups[:, :, _THRUSTERS].astype(np.int64), axis=1)
     for column in _NEWEST_KNOWN:
         values = groups[:, :, column]
-        known = np.isfinite(values)
-        newest = values.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
+        finite = np.isfinite(values)
+        newest = values.shape[1] - 1 - finite[:, ::-1].argmax(axis=1)
         out[:, column] = values[np.arange(len(values)), newest]
     return out

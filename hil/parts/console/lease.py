@@ -24,7 +24,7 @@ class Lease:
     """Right to command, held by one connection while it sends a message at least every ``timeout_s``.
 
     key, name: of its client. number: of the connection, 0 once that is closed; the lease then runs on until it expires,
-    and a new connection with the same key reclaims it. Another one with that key, as of a duplicated tab, does not hold
+    and a new connection with the same key reclaims it. Another one with that key (a duplicated tab) does not hold
     it. An expired lease is free; its holder must acquire it again.
     """
 

@@ -114,7 +114,7 @@ _PORTIONS: Final = 3000  # one hour of the docking monitor
 class Client:
     """One client. key: its secret, which identifies it to the lease; name: of its operator. number: of its connection.
 
-    key_id: of the operator's key, "" for a self-given name. rights: as of ``OperatorKey``. origin: address and device
+    key_id: of the operator's key, "" for a self-given name. rights: see ``OperatorKey``. origin: address and device
     from which it is connected. last_rx_s, acted_s: wall-clock times of its last message and of its last request.
     displaced: set when its place is given to another client.
     """
@@ -140,7 +140,7 @@ class Client:
 
     @property
     def actor(self) -> dict[str, str]:
-        """Name, key and rights of the operator, as of a message to the session."""
+        """Name, key and rights of the operator, as in a message to the session."""
         return {"by": self.name, "key": self.key_id, "rights": self.rights}
 
     @property
@@ -226,14 +226,14 @@ class LiveView:
     def _portion(self, portion: Portion) -> dict[str, Any]:
         assert self._places is not None
         d, phi = portion.values[:3], portion.values[3:6]
-        known = bool(np.isfinite(d).all() and np.isfinite(phi).all())
+        is_finite = bool(np.isfinite(d).all() and np.isfinite(phi).all())
         return {
             "t_s": portion.t_s,
             "status": portion.status,
             "frames": portion.frames,
             "values": _numbers(portion.values),
             "sigmas": _numbers(portion.sigmas),
-            "r_m": chaser_position(self._places, d, phi).tolist() if known else None,
+            "r_m": chaser_position(self._places, d, phi).tolist() if is_finite else None,
         }
 
 

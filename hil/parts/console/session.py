@@ -66,7 +66,7 @@ class CommissioningOperator(RemoteOperator):
         return self._answers.get()
 
     def poll(self, now_s: float) -> None:
-        """As of ``RemoteOperator``; announces a new question. Raises StopCommanded for STOP, SafetyTrip."""
+        """As in ``RemoteOperator``; announces a new question. Raises StopCommanded for STOP, SafetyTrip."""
         number, text = self._asked
         if number != self._announced:
             self._announced = number

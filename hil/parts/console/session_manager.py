@@ -157,9 +157,9 @@ class SessionManager:
             session.send(note=["operator", f"{self.lease.name} has the command{state}"], by=self.lease.name)
 
     def _poll_recording(self, session: SessionProcess) -> None:
-        found = session.read_recording()
-        if found is not None and not self.state.closing:
-            state, updated_s = found
+        status = session.read_recording()
+        if status is not None and not self.state.closing:
+            state, updated_s = status
             for line in self.state.recording.update(state, time.monotonic() - updated_s):
                 self.log(line)
 

@@ -101,8 +101,8 @@ class SessionState:
         """Apply a message of the session; return new lines for the log."""
         lines: list[str] = []
         if "alarms" in message:
-            known = {alarm["text"] for alarm in self.alarms if alarm["latched"]}
-            lines += [f"alarm: {alarm['text']}" for alarm in message["alarms"] if alarm["text"] not in known]
+            latched = {alarm["text"] for alarm in self.alarms if alarm["latched"]}
+            lines += [f"alarm: {alarm['text']}" for alarm in message["alarms"] if alarm["text"] not in latched]
             if message["hold_reason"] not in ("", self.hold_reason):
                 lines.append(f"hold: {message['hold_reason']}")
             self.alarms, self.events = message["alarms"], message["events"]
@@ -195,24 +195,24 @@ class SessionState:
 
     def _groups(self) -> dict[str, slice]:
         """Return the places of the axes after the first six in the status, by the names of their groups."""
-        found: dict[str, slice] = {}
+        groups: dict[str, slice] = {}
         for number, axis in enumerate(self.bench.get("axes", ())):
             if number >= len(BENCH_AXES):
                 group = axis.partition(".")[0]
-                found[group] = slice(found[group].start if group in found else number, number + 1)
-        return found
+                groups[group] = slice(groups[group].start if group in groups else number, number + 1)
+        return groups
 
     def _further_axes(self, status: np.record) -> dict[str, dict[str, list[float | None]]]:
         """Return positions and rates of the axes after the first six, by groups: ``m`` and ``mps``, or in degrees."""
-        found = {}
+        axes = {}
         for name, places in self._groups().items():
             unit = self.bench["units"][name]
             scale = math.degrees(1.0) if unit == "deg" else 1.0
-            found[name] = {
+            axes[name] = {
                 unit: [finite_or_none(scale * v) for v in status.position[places]],
                 f"{unit}ps": [finite_or_none(scale * v) for v in status.rate[places]],
             }
-        return found
+        return axes
 
     def page(self) -> dict[str, Any]:
         """Return the slow part of the state."""

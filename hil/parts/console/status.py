@@ -81,10 +81,10 @@ class StatusWriter:
             out.limit[:6] = (*rails.limit, *turntable.limit)
             first = 6
             for group in loop.target.groups:
-                found, places = group.feedback, slice(first, first + len(group.feedback.position))
-                out.homing[places], out.limit[places] = found.homing, found.limit
+                feedback, places = group.feedback, slice(first, first + len(group.feedback.position))
+                out.homing[places], out.limit[places] = feedback.homing, feedback.limit
                 out.position[places], out.rate[places], out.axis_age_s[places] = (
-                    found.position, found.rate, now_s - found.t_s
+                    feedback.position, feedback.rate, now_s - feedback.t_s
                 )  # fmt: skip
                 first = places.stop
             if bench.manipulator is not None:

@@ -118,8 +118,8 @@ class ModelDssStage(DssStage):
     def _replace_motion(self, model: PlantModel, truth: np.record, t_s: float, w_before: np.ndarray) -> None:
         """Replace the motion of the chaser by that of the model; orbit of the target and frame H remain built in."""
         p = self._dss
-        place, direction, force_n = p.thruster_position, p.thruster_direction, p.thruster_force
-        wrench(truth.thrust_fraction, place, direction, force_n, p.n_thrusters, self._force, self._torque)
+        position, direction, force_n = p.thruster_position, p.thruster_direction, p.thruster_force
+        wrench(truth.thrust_fraction, position, direction, force_n, p.n_thrusters, self._force, self._torque)
         inputs = model.inputs
         inputs.t_s, inputs.thrust_fraction = t_s, truth.thrust_fraction
         inputs.force_N, inputs.torque_Nm = self._force, self._torque

@@ -34,11 +34,11 @@ def judge_monitor(watched: MonitorOutcome, history: np.ndarray, scenario: Scenar
     truth: the simulated chaser. bench: the camera's position by the encoders, from which its images were rendered;
     the lag of the axes behind the truth is an error of the monitor against the truth only.
     """
-    known = [portion for portion in watched.portions if portion.frames and len(history)]
-    known = [portion for portion in known if portion.t_s <= history["t_s"][-1]]
-    values = np.array([portion.values for portion in known]).reshape(-1, len(QUANTITIES))
-    sigmas = np.array([portion.sigmas for portion in known]).reshape(-1, len(QUANTITIES))
-    times = np.array([portion.t_s for portion in known])
+    compared = [portion for portion in watched.portions if portion.frames and len(history)]
+    compared = [portion for portion in compared if portion.t_s <= history["t_s"][-1]]
+    values = np.array([portion.values for portion in compared]).reshape(-1, len(QUANTITIES))
+    sigmas = np.array([portion.sigmas for portion in compared]).reshape(-1, len(QUANTITIES))
+    times = np.array([portion.t_s for portion in compared])
     truth = _Truth(history, mounting(scenario.monitor))
     against_truth = _difference(values, truth.at(times))
     against_bench = _difference(values, _bench(history, scenario, rig, times))
@@ -80,10 +80,10 @@ def _longest_gap(watched: MonitorOutcome, history: np.ndarray) -> float | None:
 
 def _figures(errors: Floats, sigmas: Floats) -> dict[str, float | int] | None:
     """Return the figures of one quantity; None if it was never observed."""
-    known = np.isfinite(errors) & np.isfinite(sigmas)
-    if not known.any():
+    finite = np.isfinite(errors) & np.isfinite(sigmas)
+    if not finite.any():
         return None
-    error, sigma = errors[known], sigmas[known]
+    error, sigma = errors[finite], sigmas[finite]
     ratio = np.abs(error) / np.maximum(sigma, 1e-300)
     return {
         "n": len(error),
@@ -97,9 +97,9 @@ def _figures(errors: Floats, sigmas: Floats) -> dict[str, float | int] | None:
 
 def _difference(one: Floats, other: Floats) -> Floats:
     """Return one - other, (n, 12); angles within +-pi."""
-    found = one - other
-    found[:, _ANGLES] = (found[:, _ANGLES] + np.pi) % (2.0 * np.pi) - np.pi
-    return found
+    difference = one - other
+    difference[:, _ANGLES] = (difference[:, _ANGLES] + np.pi) % (2.0 * np.pi) - np.pi
+    return difference
 
 
 class _Truth:
@@ -126,8 +126,8 @@ def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> 
     """Return QUANTITIES (n, 12), SI, of the camera by the encoders."""
     track = EncoderTrack(bench_params.bench(rig, scenario.step_s, scenario.bench), mounting(scenario.monitor))
     track.add(history)
-    found = np.empty((len(times), len(QUANTITIES)))
-    for row, t_s in zip(found, times, strict=True):
+    truth = np.empty((len(times), len(QUANTITIES)))
+    for row, t_s in zip(truth, times, strict=True):
         d, phi = track(t_s)
         half = min(_BENCH_RATE_S, max(t_s - history["t_s"][0], _SHORTEST_S), max(history["t_s"][-1] - t_s, _SHORTEST_S))
         start, stop = max(t_s - half, history["t_s"][0]), min(t_s + half, history["t_s"][-1])
@@ -135,7 +135,7 @@ def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> 
         w[0:6:2], w[6::2] = d, phi
         w[1:6:2] = (track(stop)[0] - track(start)[0]) / max(stop - start, 1e-9)
         quantities(w, row)
-    return found
+    return truth
 
 
 def _vision_unit(history: np.ndarray, truth: _Truth) -> tuple[Floats, Floats, Floats]:
@@ -181,23 +181,23 @@ _ROWS: Final = (  # quantity, label, unit in SI, unit
 )
 
 
-def monitor_section(found: dict[str, Any]) -> Section:
+def monitor_section(content: dict[str, Any]) -> Section:
     """Return the comparison as a section of the report."""
-    status = ", ".join(f"{count} {name}" for name, count in found["status"].items()) or "none"
+    status = ", ".join(f"{count} {name}" for name, count in content["status"].items()) or "none"
     notes = [
-        f"{found['scene']}: {found['frames']} frames of {found['frame_ms']['mean']:.1f} ms each, "
-        f"portions: {status}, longest time without one {found['longest_gap_s'] or 0.0:.2f} s"
+        f"{content['scene']}: {content['frames']} frames of {content['frame_ms']['mean']:.1f} ms each, "
+        f"portions: {status}, longest time without one {content['longest_gap_s'] or 0.0:.2f} s"
     ]
-    if found["failure"] or found["missed_rows"]:
-        notes.append(f"{found['failure'] or 'late'}, {found['missed_rows']} cycles missed")
-    if found["warning"]:
-        notes.append(found["warning"])
+    if content["failure"] or content["missed_rows"]:
+        notes.append(f"{content['failure'] or 'late'}, {content['missed_rows']} cycles missed")
+    if content["warning"]:
+        notes.append(content["warning"])
     head = (
         "rms error (sigma, in 2 sigma)", "monitor to truth", "monitor to encoders", "vision unit to truth",
         "one to the other",
     )  # fmt: skip
     rows = [
-        (f"{label}, {name}", *(_cell(figures, unit) for figures in found["quantities"][quantity].values()))
+        (f"{label}, {name}", *(_cell(figures, unit) for figures in content["quantities"][quantity].values()))
         for quantity, label, unit, name in _ROWS
     ]
     return Section("Monitor", notes, head, rows)
