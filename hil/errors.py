@@ -19,10 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from hil.core.alarms import Alarm
+from typing import Any, Final
 
 _LONGEST_LINE: Final = 2000
 
@@ -115,6 +112,6 @@ class DriveFault(DeviceError):
 class SafetyTrip(BenchError):
     """A monitored quantity exceeded its limit: the error of an alarm."""
 
-    def __init__(self, alarm: Alarm) -> None:
+    def __init__(self, alarm: Any) -> None:
         self.alarm = alarm
         super().__init__(alarm.text)
