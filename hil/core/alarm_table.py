@@ -101,7 +101,8 @@ _OF_ERRORS: Final[dict[type[DeviceError], tuple[AlarmKind, str]]] = {
 def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
     """Return the alarm of a bench error; its text is the text of the error."""
     if isinstance(error, SafetyTrip):
-        return replace(error.alarm, t_s=t_s)
+        alarm: Alarm = error.alarm
+        return replace(alarm, t_s=t_s)
     if isinstance(error, DeviceError):
         kind, limit = _OF_ERRORS.get(type(error), (DEVICE, "no error"))
         return replace(kind.alarm(t_s, error.device, error.what, limit), text=str(error))
