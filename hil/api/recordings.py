@@ -17,6 +17,7 @@ from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
 from hil.core.messages import Event, new
+from hil.core.own_code import trusting
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
@@ -33,13 +34,14 @@ from hil.session.assembly import make_backend
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, trust_code: bool = False) -> Recording:
     """Return the run recorded at ``path`` (``*.mcap`` of ``hil run --record``).
 
     Recordings of earlier versions and truncated ones can be read as far as intact. Raises BadInput for a file
-    that is no recording or cannot be read.
+    that is no recording or cannot be read. trust_code: whether its replay may load libraries, Python files and FMUs
+    that the recording alone names.
     """
-    return Recording(load(Path(path)))
+    return Recording(load(Path(path)), trust_code)
 
 
 class Recording(Run):
@@ -49,7 +51,8 @@ class Recording(Run):
     damage. recorded: content of the file.
     """
 
-    def __init__(self, recorded: Recorded) -> None:
+    def __init__(self, recorded: Recorded, trust_code: bool = False) -> None:
+        self._trust_code = trust_code
         data = RunData(
             recorded.scenario,
             recorded.rig,
@@ -76,19 +79,22 @@ class Recording(Run):
         self,
         overrides: Overrides | None = None,
         gnc: str | Path | PythonGnc | None = None,
+        trust_code: bool = False,
         **backends: Unpack[BackendArguments],
     ) -> Replay:
         """Return the results of the present GNC for the recorded IMU samples and poses: an open loop.
 
         overrides: keys of ``gnc`` and ``requirements`` to values, as for ``hil.run``. gnc: TOML file with other
         ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. backends: ``navigation=``
-        and ``control=`` as for ``hil.run``; a recorded object is needed again.
+        and ``control=`` as for ``hil.run``; a recorded object is needed again. trust_code: load what the recording
+        alone names; without it a library, Python file or FMU is loaded only if it is given here.
 
         Raises BadInput, and what an object raises.
         """
         with named_as_argument():
             named, own = own_backends(**backends)
-            return Replay(self, gnc, (*settings_of(overrides), *named), own)
+            with trusting(trust_code or self._trust_code):
+                return Replay(self, gnc, (*settings_of(overrides), *named), own)
 
     def _source(self) -> str:
         return str(self.path)
@@ -148,10 +154,14 @@ class FileReplay(NamedTuple):
     navigation: dict[str, dict[str, Any]]
 
 
-def replay_file(path: Path, gnc: str | None, settings: Settings) -> FileReplay:
-    """Return the replay of the recording at ``path`` in the memory of a batch of rows. Raises BadInput."""
+def replay_file(path: Path, gnc: str | None, settings: Settings, trust_code: bool = False) -> FileReplay:
+    """Return the replay of the recording at ``path`` in the memory of a batch of rows. Raises BadInput.
+
+    trust_code: whether code that the recording alone names is loaded.
+    """
     recorded = load_without_rows(path)
-    return FileReplay(recorded, *_replayed(recorded, gnc, settings, row_batches(path)))
+    with trusting(trust_code):
+        return FileReplay(recorded, *_replayed(recorded, gnc, settings, row_batches(path)))
 
 
 def _replayed(

@@ -51,6 +51,7 @@ def replay(
     *,
     gnc: str | None = None,
     settings: Settings = (),
+    trust_code: Flag = False,
     images: Group[ImageOptions] = _NO_IMAGES,
     json: File = None,
 ) -> int:
@@ -62,13 +63,15 @@ def replay(
         File of hil run --record.
     gnc
         TOML file with other [gnc...] tables, or a scenario whose GNC is used.
+    trust_code
+        Load the library, Python file or FMU that the recording names, which is code of unknown origin.
     json
         File for the differences, - for standard output.
     """
     problems = []
     vmu, geometry, monitor, scene = images.vmu, images.geometry, images.monitor, images.scene
     if not (vmu or monitor or geometry is not None or scene is not None):
-        return _replay_gnc(recording, gnc, settings, json)
+        return _replay_gnc(recording, gnc, settings, json, trust_code)
     if geometry is not None and not vmu:
         problems.append(Problem("--geometry", "", "goes with --vmu"))
     if scene is not None and not monitor:
@@ -82,10 +85,12 @@ def replay(
     return status
 
 
-def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
+def _replay_gnc(
+    recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None, trust_code: bool
+) -> int:
     from hil.api.recordings import replay_file
 
-    recorded, scenario, changed, replayed, errors = replay_file(Path(recording), gnc, settings)
+    recorded, scenario, changed, replayed, errors = replay_file(Path(recording), gnc, settings, trust_code)
     deliver(
         _as_json(recorded, replayed, changed, errors),
         json_path,

@@ -32,6 +32,7 @@ from hil.config.tables.units import converted, split
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
+from hil.core.own_code import note_users
 from hil.errors import BadInput, Problem
 
 Model = TypeVar("Model", bound=ConfigModel)
@@ -236,6 +237,7 @@ def read_with_bases(
     if chosen_set is not None:
         _put_dispersion_set(base, chosen_set, origin)
     merge_tables(base, table, str(path), origin, prefix)
+    note_users(table)
     return base
 
 
@@ -330,6 +332,7 @@ def apply_settings(
     """
     for text in settings:
         (*parents, last), value = _parse_setting(text, prefix)
+        note_users(value)
         node = table
         for name in parents:
             node = node.setdefault(name, {})

@@ -1,4 +1,8 @@
-"""Code of a user's own: the module of a file, and why it cannot be imported or its kernels not compiled."""
+"""Code of a user's own: the module of a file, and why it cannot be imported or its kernels not compiled.
+
+What a recording or the folder of a campaign names is data, not code: it is loaded only if the user names it as well, or
+trusts such names (``trusting``); a relative one never.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,9 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -18,11 +24,71 @@ import numpy as np
 
 from hil.errors import BadInput, one_line
 
+_of_data: dict[str, str] = {}
+"""Names of code in what was read as data in this process, and the file that names each."""
+_of_user: set[str] = set()
+"""Those in files, settings and arguments of the user."""
+_trusts: ContextVar[bool] = ContextVar("trusts", default=False)
 _REASONS: Final = r"Unknown attribute|Invalid use|No implementation|Cannot|Use of"
+
+
+def note_data(source: str, content: Any) -> None:
+    """Note the names of code in ``content``, texts in lists and tables, which the file ``source`` has as data."""
+    for name in _names_of(content):
+        _of_data.setdefault(name, source)
+
+
+def note_users(content: Any) -> None:
+    """Note the names of code in ``content``, texts in lists and tables, which the user gives."""
+    _of_user.update(_names_of(content))
+
+
+@contextmanager
+def trusting(trusts: bool) -> Iterator[None]:
+    """Load, within ``with``, what data names, if ``trusts``."""
+    token = _trusts.set(trusts)
+    try:
+        yield
+    finally:
+        _trusts.reset(token)
+
+
+def require_trust(name: str, refuse: Callable[[str], BadInput]) -> None:
+    """Raise BadInput, by ``refuse``, if only data names this code and the user does not trust it; print it if so.
+
+    name: of a file, or a module and a member, ``package:name``.
+    """
+    source = _of_data.get(name)
+    if source is None or name in _of_user:
+        return
+    path = Path(name)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "none: no such file"
+    if not path.is_absolute():
+        raise refuse(f"is code that {source} names, not by an absolute path: never loaded, name it yourself")
+    if not _trusts.get():
+        way = "if you trust it, --trust-code (Python: trust_code=True), or name it yourself"
+        raise refuse(f"is code that {source} names (sha256 {digest[:16]}): not loaded; {way}")
+    print(f"loads {name}, named by {source}, sha256 {digest}", file=sys.stderr)  # noqa: T201
+
+
+def _names_of(content: Any) -> Iterator[str]:
+    """Yield each text that may name code, and the file in it."""
+    if isinstance(content, Mapping):
+        content = content.values()
+    elif isinstance(content, str):
+        if re.search(r"\.so$|\.fmu$|:", content):
+            yield content
+            yield content.rpartition(":")[0] or content
+        return
+    elif not isinstance(content, list | tuple):
+        return
+    for each in content:
+        yield from _names_of(each)
 
 
 def module_of_file(path: str, refuse: Callable[[str], BadInput]) -> ModuleType:
     """Return the module of the file at ``path``. Raises BadInput, by ``refuse``, if it cannot be imported."""
+    require_trust(path, refuse)
     file = Path(path).absolute()
     if not file.is_file():
         raise refuse("no such file: give file.py:name")

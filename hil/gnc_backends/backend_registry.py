@@ -15,7 +15,7 @@ from hil.config.live_tunable import BACKEND_SETTINGS
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.gnc_records import MAX_IMU_SAMPLES
-from hil.core.own_code import import_error, module_of_file
+from hil.core.own_code import import_error, module_of_file, require_trust
 from hil.core.part import provided
 from hil.core.settings import Setting
 from hil.errors import BadInput, Problem
@@ -197,6 +197,7 @@ def _of_package(package: str, name: str, part: str, refuse: Callable[[str], BadI
     try:
         if mine:
             return mine[0].load()
+        require_trust(f"{package}:{name}", refuse)
         if importlib.util.find_spec(package) is None:
             names = ", ".join(f"{point.dist.name}:{point.name}" for point in points if point.dist) or "none"
             raise refuse(f"no such entry point: those of hil.{part} are {names}; nor a module {package}")

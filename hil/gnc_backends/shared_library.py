@@ -19,6 +19,7 @@ from hil.core.gnc_records import (
     PROTOCOL,
     REASON_BYTES,
 )
+from hil.core.own_code import require_trust
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
 from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance, address_of
@@ -114,6 +115,7 @@ class _Declaration(ctypes.Structure):
 def _loaded(path: Path, names: list[str], interface: _Interface, refuse: Callable[[str], BadInput]) -> ctypes.CDLL:
     """Return the shared library at ``path`` with the functions ``names``. Raises BadInput, made by ``refuse``."""
     header = interface.header
+    require_trust(str(path), refuse)
     if not path.is_file():
         raise refuse(f"no such file: give the path of a shared library ({header} prints its interface)")
     exact = _keeps_subnormals()

@@ -29,6 +29,7 @@ from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
+from hil.core.own_code import note_data
 from hil.core.part import part_sinks
 from hil.core.part import parts as parts_of_program
 from hil.core.sensor_records import SENSOR_ARRIVAL
@@ -488,6 +489,7 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
         content = _table(path, name, files[name])
+        note_data(str(path), content)
         if issubclass(model, FileTable):
             content = {key: each for key, each in content.items() if key not in _absent_tables(path, files, model)}
         return model.model_validate_json(json.dumps(with_present_names(model.__name__, content)))

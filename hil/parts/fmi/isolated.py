@@ -18,6 +18,7 @@ from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
 from hil.core.fields import offset_of
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, TEXT_BYTES, GncMode
+from hil.core.own_code import require_trust
 from hil.core.settings import Setting
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
@@ -40,6 +41,7 @@ class IsolatedFmu:
 
     def __init__(self, gnc: GncConfig, refuse: Callable[[str], BadInput]) -> None:
         assert gnc.fmu is not None
+        require_trust(gnc.fmu, refuse)
         self.name = Path(gnc.fmu).name
         self._gnc, self._refuse = gnc, refuse
         self._child: _Child | None = None

@@ -1,0 +1,91 @@
+"""Recordings are data: code that they name is not loaded, unless the user trusts it or names it as well."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.cli.main import BAD_INPUT, PASSED, execute
+from hil.core.own_code import note_data, note_users, require_trust
+from hil.errors import BadInput
+from tests.support.example_driver import EXAMPLES
+from tests.support.external_gnc import c_example, compile_c
+from tests.support.fmu import example_fmu
+
+MARK = '__import__("pathlib").Path({!r}).touch()\n'
+C_MARK = '#include <stdio.h>\n__attribute__((constructor)) static void mark(void) {{ fclose(fopen("{}", "w")); }}\n'
+FORMS = ("controller.py", "whole.so", "part.so", "gnc.fmu", "isolated.fmu")
+
+
+def settings_of(form: str, folder: Path, ran: Path) -> list[str]:
+    """Return settings that name code in ``folder`` which touches ``ran`` when it is loaded."""
+    if form == "controller.py":
+        path = folder / form
+        path.write_text((EXAMPLES / "backends" / "controller.py").read_text() + MARK.format(str(ran)))
+        return [f'gnc.control.backend="{path}:DeadBand"']
+    mark = C_MARK.format(ran)
+    if form == "whole.so":
+        return [f"gnc.library={c_example(folder, form, f'{FIRST} => {mark}{FIRST}')}"]
+    if form == "part.so":
+        source = folder / "observer.c"
+        source.write_text(mark + (EXAMPLES / "backends" / "observer.c").read_text())
+        return [f'gnc.navigation.backend="{compile_c([source], folder / form, "-fPIC", "-shared", "-w")}"']
+    made = example_fmu(folder, 2, f"{FIRST} => {mark}{FIRST}")
+    return [f"gnc.fmu={made}", f"gnc.fmu_process={'true' if form == 'isolated.fmu' else 'false'}"]
+
+
+FIRST = next(line for line in (EXAMPLES / "gnc_c" / "gnc.c").read_text().splitlines() if line.startswith("#include"))
+
+
+def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the program in a process of its own, whose user has not named the code."""
+    command = [sys.executable, "-m", "hil", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=280)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this computer")
+@pytest.mark.parametrize("form", FORMS)
+def test_code_that_a_recording_names_is_loaded_only_if_it_is_trusted(form: str, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    given = [text for setting in settings_of(form, tmp_path, ran) for text in ("--set", setting)]
+    assert execute(["run", "scheme-1", "--duration", "2", *given, "--record", str(tmp_path / "runs")]) in (0, 1)
+    assert ran.exists()
+    ran.unlink()
+    (recording,) = (tmp_path / "runs").glob("*.mcap")
+    refused = hil("replay", str(recording))
+    assert (refused.returncode, len(refused.stderr.splitlines())) == (BAD_INPUT, 1), refused.stderr
+    assert f"is code that {recording} names (sha256 " in refused.stderr
+    assert "--trust-code" in refused.stderr
+    for command in (
+        ["report", str(recording), "--out", str(tmp_path / "page.html")],
+        ["recordings", "verify", str(recording)],
+    ):
+        hil(*command)
+    assert not ran.exists()
+    named = hil("replay", str(recording), *given)
+    assert named.returncode == PASSED, named.stderr
+    assert ran.exists()
+    ran.unlink()
+    trusted = hil("replay", str(recording), "--trust-code")
+    assert trusted.returncode == PASSED, trusted.stderr
+    assert f"named by {recording}, sha256 " in trusted.stderr
+    assert ran.exists()
+
+
+def test_relative_names_of_data_are_never_loaded_and_those_of_the_user_are() -> None:
+    def refuse(text: str) -> BadInput:
+        return BadInput.single("gnc", "library", text)
+
+    content = json.loads('{"gnc": {"library": "own.so", "control": {"backend": "package.module:Law"}}}')
+    note_data("run.mcap", content)
+    for name in ("own.so", "package.module:Law"):
+        with pytest.raises(BadInput, match=r"is code that run.mcap names, not by an absolute path: never loaded"):
+            require_trust(name, refuse)
+    note_users(["own.so"])
+    require_trust("own.so", refuse)
+    require_trust("other.so", refuse)
