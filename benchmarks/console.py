@@ -104,7 +104,8 @@ class Console:
         self._loop.run_until_complete(self._server.serve(sockets=[listener]))
 
     def obey(self, **command: Any) -> None:
-        asked = asyncio.run_coroutine_threadsafe(self.service.execute(self._client, command), self._loop)
+        act = {"seen_s": self.service.wall_s(), "number": self._client.requests + 1, **command}
+        asked = asyncio.run_coroutine_threadsafe(self.service.execute(self._client, act), self._loop)
         answer = asked.result(30.0)
         assert answer["ok"], answer
 

@@ -15,13 +15,13 @@ _FAR = 100.0  # m or rad: further than any axis goes
 
 @dataclass(slots=True)
 class DeadMan:
-    """A key that counts as pressed for ``holds_s`` after each refresh."""
+    """A key that counts as pressed for ``holds_s`` after each refresh, which may change it."""
 
     holds_s: float = DEAD_MAN_S
     refreshed_s: float = -float("inf")
 
-    def refresh(self, now_s: float) -> None:
-        self.refreshed_s = now_s
+    def refresh(self, now_s: float, holds_s: float = DEAD_MAN_S) -> None:
+        self.refreshed_s, self.holds_s = now_s, holds_s
 
     def pressed(self, now_s: float) -> bool:
         """Return whether the last refresh is recent; one from the future does not count."""

@@ -8,7 +8,7 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, Self
 
@@ -80,10 +80,11 @@ class StopCommanded(Exception):
 
 @dataclass(frozen=True, slots=True)
 class JogRequest:
-    """Axis by its full name, ``rails.x``; direction 1 or -1."""
+    """Axis by its full name, ``rails.x``; direction 1 or -1. hold_s: bench time for which the key counts as held."""
 
     axis: str
     direction: int
+    hold_s: float = field(default=0.2, compare=False)
 
 
 class Operator:

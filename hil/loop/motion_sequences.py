@@ -316,13 +316,15 @@ class MotionSequencer:
     def jog(self) -> None:
         """Jog the requested axis until the operator releases the key and the axis is at rest."""
         request = self._operator.jog_request()
-        if request is None:
-            return
         bench = self.loop.bench
-        tick = self.begin()
-        if self.warning_s > 0.0:
+        if request is not None and self.warning_s > 0.0:
+            self.begin()
             self._warn()
-            tick, request = self._newest, self._operator.jog_request() or request
+            request = self._operator.jog_request()
+        if request is None:  # the key was released meanwhile
+            self._operator.end_jog()
+            return
+        tick = self.begin()
         for group in self.loop.target.groups:
             if request.axis in group.axes.axis_names:
                 self._jog_group(group, request, tick)
@@ -358,7 +360,7 @@ class MotionSequencer:
             if alarm is not None:  # these devices accept setpoints only when homed and within travel
                 self._operator.rejections.append(alarm.text)
                 return None
-        jog.key.refresh(tick.now_s)
+        jog.key.refresh(tick.now_s, request.hold_s)
         self.safety.widen_travel(jog.params.low, jog.params.high)
         self.modes.go(Mode.JOGGING)
         return jog
@@ -368,8 +370,8 @@ class MotionSequencer:
         bench = self.loop.bench
         self._poll_command(Mode.JOGGING)
         request = self._operator.jog_request()
-        if request == JogRequest(bench.axis_names[jog.axis], jog.direction):
-            jog.key.refresh(tick.now_s)
+        if request is not None and request == JogRequest(bench.axis_names[jog.axis], jog.direction):
+            jog.key.refresh(tick.now_s, request.hold_s)
         switch = (*bench.feedback[0].limit, *bench.feedback[1].limit)[jog.axis]
         if not (jog.may_move(tick.now_s, switch) and self._keeps_clear(jog, tick)):
             return bench.brake(tick.now_s, jog.params) or jog.key.pressed(tick.now_s)
@@ -420,14 +422,14 @@ class MotionSequencer:
         limits = self.safety.limits
         rest = limits.rest_radps if group.rotates else limits.rest_mps
         jog = group.begin_jog(axis, request.direction, limits.jog_rate_fraction, tick.now_s, self._step_s)
-        jog.key.refresh(tick.now_s)
+        jog.key.refresh(tick.now_s, request.hold_s)
         self.modes.go(Mode.JOGGING)
         moving = True
         try:
             while moving or not bench.at_rest(tick.now_s) or np.abs(group.feedback.rate).max() > rest:
                 self._poll_command(Mode.JOGGING)
-                if self._operator.jog_request() == request:
-                    jog.key.refresh(tick.now_s)
+                if (held := self._operator.jog_request()) == request:
+                    jog.key.refresh(tick.now_s, held.hold_s)
                 if jog.may_move(tick.now_s, group.feedback.limit[axis]):
                     group.jog(jog, tick.now_s)
                     moving = True

@@ -125,13 +125,25 @@ class Page:
 
     def ask(self, do: str, **more: Any) -> dict[str, Any]:
         """Ask for something; return the answer."""
+        self.look()
         self._number += 1
-        self.socket.send(json.dumps({"do": do, "id": self._number, **more}))
+        seen = {"seen_s": self.now.get("wall_s"), "number": self._number}
+        self.socket.send(json.dumps({"do": do, "id": self._number, **seen, **more}))
         while True:
             answer = self.take()
             if answer is not None:
                 assert answer.get("answer") == self._number, answer
                 return answer
+
+    def look(self) -> None:
+        """Take what has come, and one more update: the newest one."""
+        if not self.beats:
+            return
+        with suppress(TimeoutError):
+            while self.take(0.0) != {"closed": True}:
+                pass
+        with suppress(TimeoutError):
+            self.take(1.0)
 
     def order(self, word: str) -> None:
         """Order something and confirm it; it must be taken."""

@@ -190,7 +190,10 @@ def test_page_shows_when_keys_or_orders_do_not_arrive_and_then_no_button_looks_a
         (client,) = service.clients
         client.got, client.sent = 0, 1000  # the console sends nothing more
         begun_s = time.monotonic()
-        until(page, "document.getElementById('reach').textContent.startsWith('No connection to the console for 0.')")
+        until(
+            page,
+            "document.getElementById('reach').textContent.startsWith('No connection to the console: values are 0.')",
+        )
         assert time.monotonic() - begun_s > 0.2  # by the page's own clock less than 1 s
         assert looks_alive(page) == []
         page.evaluate("void document.getElementById('order_abort').click()")

@@ -117,7 +117,7 @@ RIG_LIMITS: Final = (
     Limit("flight_computer.timeout_s", "thrusters that stay open on an old command", 0.5, 2.0, 3600.0),
     Limit("flight_computer.lost_s", "a run without its flight computer", 2.0, 10.0, 3600.0),
     Limit("monitor_camera.timeout_s", "a docking monitor without images", 2.0, 10.0, 3600.0),
-    Limit("console.lease_s", "a bench that moves without its operator", 5.0, 30.0, 60.0),
+    Limit("console.lease_s", "a bench that moves without its operator", 5.0, 5.0, 60.0),
     Limit("bench.bodies_distance_m", "collisions of carriage, arm and target", 0.02, 0.005, 1e-6, True),
     Limit("guard.reaction_s", "a chaser that enters the keep-out", 0.05, 0.02, 0.0, True),
     Limit("guard.pose_error_max_m", "a bench that does not show the truth", 0.02, 0.1, 1e3),

@@ -140,16 +140,18 @@ class Authenticator:
             text = 'the first message must be {"key": ..., "name": ..., "token": ...}, or with operator and proof'
             raise RequestRejected("too many clients: try again" if displaced.is_set() else text)
         key, name, given, device = (str(hello.get(field, "")) for field in ("key", "name", "token", "device"))
-        origin = address, device[:_LONGEST_KEY]
+        page, origin = str(hello.get("page", ""))[:_LONGEST_KEY], (address, device[:_LONGEST_KEY])
         if self._operators:
-            return self._operator(hello, challenge, socket.headers.get("host", ""), origin)
+            client = self._operator(hello, challenge, socket.headers.get("host", ""), origin)
+            client.page = page
+            return client
         if self._guesses is not None:
             if not given:
                 raise RequestRejected("this console requires a token")
             self._guesses.check(given, address, self._service.wall_s())
         if not 16 <= len(key) <= _LONGEST_KEY:
             raise RequestRejected("key: at least 16 random characters")
-        return Client(key, plain_name(name) or "unnamed", origin=origin)
+        return Client(key, plain_name(name) or "unnamed", origin=origin, page=page)
 
     def _operator(self, hello: dict[str, Any], challenge: str, host: str, origin: tuple[str, str]) -> Client:
         """Return the client of an operator who proves a key; raise RequestRejected.
@@ -269,6 +271,8 @@ async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -
             continue
         service.refresh(client, message.get("got"))
         if message.get("do") == "beat":
+            if isinstance(message.get("sent_ms"), int | float):
+                await socket.send_text(json.dumps({"beat": message["sent_ms"]}))
             continue
         client.acted_s = service.wall_s()
         answer = await service.execute(client, message)

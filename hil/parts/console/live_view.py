@@ -131,6 +131,10 @@ class Client:
     """Camera whose images it requests; "" for any."""
     picture_seen: int = 0
     portions_seen: int = 0
+    requests: int = 0
+    """Number of its last request that may move the bench."""
+    page: str = ""
+    """Random number of the page that has connected, the same after a loss of the connection."""
     sent: int = 0
     got: int | None = None
     """Number of messages that it has received, None if it does not report it."""

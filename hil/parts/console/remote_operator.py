@@ -5,12 +5,13 @@ JSON object per packet of a socket pair.
 
 to the loop    {"order": "hold", "by": "ann", "id": 7}
                {"order": "arm", "by": "ann", "confirmed": true, "mode": "standby", "second": KEY, "id": 7,
-                "until_s": 812.5}: not executed after that time of the monotonic clock
+                "until_s": 812.5}: not executed after that time of the monotonic clock, except STOP and HOLD
                {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
                {"shelve": [3, 600.0], "by": "ann", "id": 9}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
                {"search": [120, 80, 300, 240], "by": "ann", "id": 9}: of the docking monitor, null: the whole image
-               {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann has the command"], "by": "ann"}
+               {"jog": ["rails.x", 1], "until_s": 812.5}: the key counts as held until then   {"release": true}: of it
+               {"present": true}   {"note": ["operator", "ann has the command"], "by": "ann"}
 with "by" come "key" and "rights" of the operator, for the recording
 to the console {"answer": 7, "text": ""}, with "ask" or "second" and "mode" if a confirmation is missing
                {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
@@ -24,6 +25,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 from hil.config.tables.host import OnLoss
@@ -31,7 +33,7 @@ from hil.core import alarm_table as table
 from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import Operator, OperatorCommand
+from hil.core.operator_commands import JogRequest, Operator, OperatorCommand
 from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -46,6 +48,8 @@ _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
 _PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
 NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
+NEVER_LATE: Final = (OperatorCommand.STOP, OperatorCommand.HOLD)
+"""Commands that are executed at whatever age. ABORT moves the chaser: it is refused as any motion is."""
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
 
@@ -113,6 +117,7 @@ class RemoteOperator(Operator):
         self._recorder: EventRecorder | None = None
         self._adjustable: tuple[str, ...] = ()
         self._search: SearchRegion | None = None
+        self._jog_until_s = -math.inf
 
     def attach(
         self,
@@ -186,8 +191,11 @@ class RemoteOperator(Operator):
         if "present" in message:
             self._present = bool(message["present"])
         elif "jog" in message:
-            axis, direction = message["jog"]
-            self.jog(axis, direction)
+            self._jog_until_s = float(message["until_s"])
+            if self._wall_s() <= self._jog_until_s:
+                self.jog(*message["jog"])
+        elif "release" in message:
+            self._jog_until_s = -math.inf
         elif "note" in message:
             kind, text = message["note"]
             self._log_event(kind, who, text)
@@ -206,9 +214,17 @@ class RemoteOperator(Operator):
         elif "search" in message:
             self._messages.send(answer=message["id"], text=self._search_in(message["search"], who))
         elif "adjust" in message:
-            self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], who))
+            late = self._wall_s() > message.get("until_s", math.inf)
+            text = "came too late to be applied: change it again" if late else self._adjust(message["adjust"], who)
+            self._messages.send(answer=message["id"], text=text)
         elif "order" in message:
             self._messages.send(answer=message["id"], **self._order(message, who))
+
+    def jog_request(self) -> JogRequest | None:
+        """Return the requested jog in each cycle until its deadline, which no hold in bench time extends."""
+        with self._lock:
+            held = self._jog is not None and self._wall_s() <= self._jog_until_s
+            return replace(self._jog, hold_s=0.0) if self._jog is not None and held else None
 
     def _order(self, message: dict[str, Any], operator: Actor) -> dict[str, Any]:
         """Submit a command that the present mode allows and that is confirmed for it; return the answer."""
@@ -218,12 +234,12 @@ class RemoteOperator(Operator):
         if mode not in command.modes:
             refusal = f"bench: cannot {word} in {mode.value}"
             refusal += ": STOP ends it" if command is OperatorCommand.HOLD and mode not in AT_REST else ""
+        elif command not in NEVER_LATE and self._wall_s() > message.get("until_s", math.inf):
+            refusal = f"bench: {word} came too late to be executed: command it again"
         elif command.question:
             if message.get("confirmed") is not True:
                 return {"text": "", "ask": command.question, "mode": mode.value}
-            if self._wall_s() > message.get("until_s", math.inf):
-                refusal = f"bench: {word} came too late to be executed: command it again"
-            elif confirmed_in != mode.value:
+            if confirmed_in != mode.value:
                 refusal = f"bench: {word} was confirmed in {confirmed_in}, not for {mode.value}: confirm it again"
             elif word in self._second_person and message.get("second", "") in ("", operator.key):
                 return {"text": "", "second": word, "mode": mode.value}

@@ -11,6 +11,7 @@ from hil.core.operator_commands import OperatorCommand
 from hil.core.operator_keys import RIGHTS
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
+from hil.parts.console.freshness import ACT_S, MOVING, PROGRAM_JOG_S, deadline_of, require_order
 from hil.parts.console.lease import RequestRejected
 from hil.parts.console.live_view import Client
 from hil.parts.console.remote_operator import NO_MONITOR
@@ -61,6 +62,8 @@ class ConsoleService(ClientUpdates):
     async def execute(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         """Execute a request; return the answer: ok, text, and ``ask`` if it requires a confirmation."""
         try:
+            if str(command.get("do")) in MOVING and command.get("order") not in WITHOUT_COMMAND:
+                command = {**command, "until_s": self._deadline(client, command)}
             return await self._execute(client, command)
         except (RequestRejected, BadInput) as error:
             return {"ok": False, "text": str(error)}
@@ -80,7 +83,7 @@ class ConsoleService(ClientUpdates):
                 self.lease.require(client)
                 return self._open(client, command, second)
             case "second":
-                return await self._second(client, str(command.get("order")))
+                return await self._second(client, str(command.get("order")), command["until_s"])
             case "order":
                 if command.get("order") not in WITHOUT_COMMAND:
                     self.lease.require(client)
@@ -90,7 +93,10 @@ class ConsoleService(ClientUpdates):
                 return await self._reply(client, command)
             case "jog":
                 self.lease.require(client)
-                self._jog(str(command.get("axis")), command.get("direction"))
+                self._jog(command)
+            case "release_key":
+                if self.lease.held_by(client) and self.session is not None:
+                    self.session.send(release=True)
             case "adjust":
                 self.lease.require(client)
                 return await self._adjust(client, command)
@@ -114,6 +120,13 @@ class ConsoleService(ClientUpdates):
             case other:
                 raise RequestRejected(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
+
+    def _deadline(self, client: Client, command: dict[str, Any]) -> float:
+        """Return until when a request of ``client`` may act. Programs that are no pages may send no ``seen_s``."""
+        if not client.page and "seen_s" not in command:
+            return self.wall_s() + (PROGRAM_JOG_S if command["do"] == "jog" else ACT_S)
+        client.requests = require_order(command, client.requests)
+        return deadline_of(command, self.wall_s())
 
     def _require_rights(self, client: Client, rights: str) -> None:
         """Raise RequestRejected unless the operator has ``rights`` or more."""
@@ -146,8 +159,8 @@ class ConsoleService(ClientUpdates):
         text = f"{word}: waits {SECOND_PERSON_S:g} s for the confirmation of a second person at another page"
         return {"ok": False, "text": text, "second": word}
 
-    async def _second(self, client: Client, word: str) -> dict[str, Any]:
-        """Confirm the command of another client, and execute it as this client's."""
+    async def _second(self, client: Client, word: str, until_s: float) -> dict[str, Any]:
+        """Confirm the command of another client, and execute it until ``until_s``, as this client saw the bench."""
         awaited = self.awaited()
         if awaited is None or awaited.word != word:
             raise RequestRejected(f"{word}: no such command waits for a second person")
@@ -157,7 +170,7 @@ class ConsoleService(ClientUpdates):
         self.second_person = None
         self.log(f"{client.name} confirmed {word} of {awaited.client.name} as the second person")
         self.record_event("operator", client, f"confirmed {word} of {awaited.client.name} as the second person")
-        return await self._execute(awaited.client, awaited.command, client.key_id)
+        return await self._execute(awaited.client, {**awaited.command, "until_s": until_s}, client.key_id)
 
     def _open(self, client: Client, command: dict[str, Any], second: str) -> dict[str, Any]:
         if self.session is not None:
@@ -219,7 +232,7 @@ class ConsoleService(ClientUpdates):
         self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         if word in WITHOUT_COMMAND:
             return await self._halt(client, word, self.session)
-        terms = {key: command[key] for key in ("confirmed", "mode") if key in command}
+        terms = {key: command[key] for key in ("confirmed", "mode", "until_s") if key in command}
         answer = await self.session.request(order=word, second=second, **client.actor, **terms)
         if "ask" in answer:
             return {"ok": False, "ask": answer["ask"], "mode": answer["mode"]}
@@ -263,12 +276,13 @@ class ConsoleService(ClientUpdates):
             raise RequestRejected(text)
         return self.session
 
-    def _jog(self, axis: str, direction: object) -> None:
+    def _jog(self, command: dict[str, Any]) -> None:
+        axis, direction = str(command.get("axis")), command.get("direction")
         session = self._ready("bench: cannot jog, no session is open")
         if axis not in self.state.bench["axes"] or direction not in (-1, 1):
             raise RequestRejected(f"bench: cannot jog {axis} by {direction}")
         if self.mode in (Mode.STANDBY, Mode.JOGGING):
-            session.send(jog=[axis, direction])
+            session.send(jog=[axis, direction], until_s=command["until_s"])
         else:
             raise RequestRejected(f"bench: cannot jog in {self.mode.value}")
 
@@ -281,7 +295,7 @@ class ConsoleService(ClientUpdates):
             if not command.get("confirmed"):
                 return {"ok": False, "ask": change.question}
             self.report_operator(self.session, self.wall_s())
-            text = await self.session.ask(adjust=change.as_message(), **client.actor)
+            text = await self.session.ask(adjust=change.as_message(), until_s=command["until_s"], **client.actor)
             if not text:
                 self.tuner.applied(change)
         done = f"rejected: {text}" if text else f"was {change.before:g}"

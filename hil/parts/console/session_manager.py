@@ -89,6 +89,10 @@ class SessionManager:
         """Add a client. Beyond ``CLIENTS_MAX`` it displaces another one: a silent one if there is one, then the one
         whose last request is the oldest, and the operator who has the command only if no other is left."""
         now_s = client.last_rx_s = self.wall_s()
+        for each in self.clients:
+            if client.page and (each.page, each.key) == (client.page, client.key):  # its connection was lost
+                self.lease.close(each)
+                each.displaced.set()
         present = [each for each in self.clients if not each.displaced.is_set()]
         if len(present) >= CLIENTS_MAX:
 

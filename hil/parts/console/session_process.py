@@ -88,7 +88,7 @@ class SessionProcess:
         answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
         self._answers[number] = answer
         try:
-            if not self.send(**message, id=number, until_s=time.monotonic() + _ANSWER_WALL_S):
+            if not self.send(**{"until_s": time.monotonic() + _ANSWER_WALL_S, **message}, id=number):
                 return {"text": "the session receives no messages", "unsent": True}
             return await asyncio.wait_for(answer, _ANSWER_WALL_S)
         except TimeoutError:

@@ -104,6 +104,7 @@ class FoxgloveClients:
         live = service.state.live(now_s)
         numbers = {name: live.get(name) for name in ("run_s", "bench_s", "rail_m", "gimbal_deg")}
         return {
+            "wall_s": now_s,
             "mode": service.mode.value,
             "open": service.session is not None,
             "ready": self._session is not None,
@@ -187,7 +188,7 @@ class FoxgloveClients:
         except RequestRejected as error:
             where = "the console prints it at its start, or has it in its token file"
             return {"ok": False, "text": f"code: wrong or missing ({error}): {where}"}
-        return await self._service.execute(client, request)
+        return await self._service.execute(client, {**request, "number": client.requests + 1})
 
     def _end(self) -> None:
         """Report that the process has ended; the console and its session continue."""

@@ -56,17 +56,18 @@ _NICENESS: Final = 5
 
 _FLAG: Final = {"type": "boolean"}
 _CONFIRMED: Final = {"confirmed": _FLAG}
+_SEEN: Final = {"seen_s": number("s, wall_s of the newest message of the bench")}
 _WHO: Final = {"name": TEXT, "code": TEXT}
 _ORDERS: Final = tuple(each.value for each in OperatorCommand if each.value not in ("stop", "hold", "jog"))
 SERVICES: Final[dict[str, dict[str, Any]]] = {
     **{key: {} for key in ("stop", "hold")},
-    **dict.fromkeys(_ORDERS, _CONFIRMED),
+    **dict.fromkeys(_ORDERS, _CONFIRMED | _SEEN),
     "take": _WHO,
     "take_over": _WHO | _CONFIRMED,
     "release": {},
-    "open": {"scenario": TEXT, "rig": TEXT, "seed": {"type": "integer"}, **_CONFIRMED},
+    "open": {"scenario": TEXT, "rig": TEXT, "seed": {"type": "integer"}, **_CONFIRMED, **_SEEN},
     "acknowledge": {},
-    "jog": {"axis": TEXT, "direction": {"type": "integer"}},
+    "jog": {"axis": TEXT, "direction": {"type": "integer"}, **_SEEN},
     "fault": {"device": TEXT, "line": TEXT},
 }
 """Services, each under ``/hil/``: the requests of the console with the properties of their JSON objects."""
@@ -75,6 +76,7 @@ _NUMBERS: Final = {"type": "array", "items": {"type": ["number", "null"]}}
 BENCH_SCHEMA: Final = table(
     "hil.Bench",
     {
+        "wall_s": number("s, of the console, for seen_s of a command"),
         "mode": TEXT,
         "open": _FLAG,
         "ready": _FLAG,

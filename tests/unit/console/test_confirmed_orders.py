@@ -18,6 +18,7 @@ from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice
 from hil.parts.console.status import MODES, empty_status
 from hil.recording.audit import Actor
+from tests.support.acts import act
 
 ANN, BOB = Client("a" * 16, "ann", "a" * 16), Client("b" * 16, "bob", "b" * 16, "confirm")
 ORDERS = [order for order in OperatorCommand if order is not OperatorCommand.JOG]
@@ -93,10 +94,10 @@ def test_no_hazardous_order_passes_unconfirmed_or_without_its_second_person() ->
             if dice.random() < 0.5:
                 command["mode"] = before.value
             command |= dice.choice(({}, {"second": BOB.key_id}))
-            answer = await service.execute(ANN, command)
+            answer = await act(service, ANN, command)
             seconded = "second" in answer and dice.random() < 0.7
             if seconded:
-                answer = await service.execute(BOB, {"do": "second", "order": order.value})
+                answer = await act(service, BOB, {"do": "second", "order": order.value})
             done = loop.executed()
             assert done in ([], [order])
             assert bool(done) == answer["ok"]
@@ -118,12 +119,12 @@ def test_order_is_confirmed_in_each_mode(order: OperatorCommand, mode: Mode) -> 
     service = make_service()
     loop = Loop(service)
     loop.modes.mode = mode
-    answer = asyncio.run(service.execute(ANN, {"do": "order", "order": order.value}))
+    answer = asyncio.run(act(service, ANN, {"do": "order", "order": order.value}))
     assert not loop.executed()
     if mode in order.modes:
         assert (answer["ask"], answer["mode"]) == (order.question, mode.value)
         again = {"do": "order", "order": order.value, "confirmed": True}
-        assert asyncio.run(service.execute(ANN, again)) == {"ok": True, "text": ""}
+        assert asyncio.run(act(service, ANN, again)) == {"ok": True, "text": ""}
         assert loop.executed() == [order]
     else:
         assert answer["text"] == f"bench: cannot {order.value} in {mode.value}"
@@ -143,8 +144,8 @@ def test_change_of_mode_since_the_confirmation_and_a_late_order_are_refused() ->
 def test_second_person_of_a_session_that_ended_confirms_nothing() -> None:
     service = make_service()
     Loop(service, SECOND)
-    answer = asyncio.run(service.execute(ANN, {"do": "order", "order": "arm", "confirmed": True}))
+    answer = asyncio.run(act(service, ANN, {"do": "order", "order": "arm", "confirmed": True}))
     assert answer["second"] == "arm"
     loop = Loop(service, SECOND)
-    assert "no such command waits" in asyncio.run(service.execute(BOB, {"do": "second", "order": "arm"}))["text"]
+    assert "no such command waits" in asyncio.run(act(service, BOB, {"do": "second", "order": "arm"}))["text"]
     assert not loop.executed()

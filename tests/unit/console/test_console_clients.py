@@ -21,6 +21,7 @@ from hil.parts.console.session_manager import CLIENTS_MAX
 from hil.parts.console.session_process import SessionProcess
 from hil.parts.console.tuner import Tuner
 from hil.session.assembly import Job
+from tests.support.acts import act
 
 ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
 
@@ -60,7 +61,7 @@ def service() -> ConsoleService:
 
 
 def answer(service: ConsoleService, client: Client, **command: Any) -> dict[str, Any]:
-    return asyncio.run(service.execute(client, command))
+    return asyncio.run(act(service, client, command))
 
 
 @pytest.mark.parametrize("order", ["stop", "hold"])
@@ -73,8 +74,8 @@ def test_flood_of_holds_is_one_message_and_an_unsent_stop_is_a_signal(service: C
     session = cast(OpenSession, service.session)
 
     async def flood() -> list[dict[str, Any]]:
-        holds = (service.execute(BOB, {"do": "order", "order": "hold"}) for _ in range(1000))
-        return list(await asyncio.gather(*holds, service.execute(ANN, {"do": "order", "order": "stop"})))
+        holds = (act(service, BOB, {"do": "order", "order": "hold"}) for _ in range(1000))
+        return list(await asyncio.gather(*holds, act(service, ANN, {"do": "order", "order": "stop"})))
 
     assert asyncio.run(flood()) == [{"ok": True, "text": ""}] * 1001
     assert session.asked == [{"order": "hold", **BOB.actor}, {"order": "stop", **ANN.actor}]
@@ -209,7 +210,7 @@ def test_mutated_messages_are_answered_and_change_only_what_they_may(service: Co
             message = app._table(text)
             if message is not None:
                 service.refresh(BOB, message.get("got"))
-                reply = await service.execute(BOB, message)
+                reply = await act(service, BOB, message)
                 json.dumps(reply)
                 assert isinstance(reply["ok"], bool)
             if service.lease.held_by(BOB):

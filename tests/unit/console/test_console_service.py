@@ -16,6 +16,7 @@ from hil.parts.console.message import ImageMessage, pack, unpack
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice, SignedBy
 from hil.parts.console.session_state import SessionState
+from tests.support.acts import act
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ ANN = Client("a" * 16, "ann", "a" * 16)
 
 def ask(service: ConsoleService, **command: Any) -> str:
     """Return the text of the answer."""
-    answer = asyncio.run(service.execute(ANN, command))
+    answer = asyncio.run(act(service, ANN, command))
     return str(answer.get("text") or answer.get("ask") or "ok")
 
 
@@ -116,7 +117,7 @@ def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: Consol
     assert service.log_lines[-1]["text"] == "ann: the docking monitor searches 10,20,300,200 px"
     assert ask(service, do="search") == "ok"
     assert (session.asked[-1]["search"], service.state.page()["search"]) == (None, None)
-    stranger = asyncio.run(service.execute(Client("b" * 16, "bob"), {"do": "search", "region": None}))
+    stranger = asyncio.run(act(service, Client("b" * 16, "bob"), {"do": "search", "region": None}))
     assert not stranger["ok"]
 
 
@@ -203,7 +204,7 @@ def test_second_person_confirms_at_another_page_in_time(
     bob, anns_tablet = Client("b" * 16, "bob", "b" * 16, "confirm"), Client(ANN.key, "Ann", ANN.key_id)
 
     def second(client: Client) -> dict[str, Any]:
-        return asyncio.run(service.execute(client, {"do": "second", "order": "open"}))
+        return asyncio.run(act(service, client, {"do": "second", "order": "open"}))
 
     assert "no such command waits" in second(bob)["text"]
     assert ask(service, do="open", rig=str(rig)).startswith("Open: the devices open")

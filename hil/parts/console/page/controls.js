@@ -5,10 +5,12 @@ import { Settings } from "/page/settings.js";
 
 const $ = (id) => document.getElementById(id);
 const SHELVED_S = 600;
-const JOG_MS = 60; // the bench stops 0.2 s after the last message
+const JOG_MS = 60;
+const JOG_ROUND_TRIP_MS = 250; // beyond it a jog would be interrupted: the bench stops it 0.4 s after what was drawn
 const ANSWER_MS = 6000;
 
-const YES_AFTER_MS = 400; // a pointer that has just clicked does not confirm by a second click
+const YES_AFTER_MS = 400; // who has just clicked or pressed a key does not confirm by the second of a pair
+const SAME_ACT_MS = 1000; // a press of a pointer and its click
 const HALT = { KeyX: "stop", x: "stop", F8: "stop", KeyH: "hold", h: "hold", F2: "hold" };
 
 export class Controls {
@@ -21,13 +23,18 @@ export class Controls {
     $("orders").append(Object.assign(document.createElement("button"), { id: "settings_open", textContent: "Settings" }));
     $("settings_open").dataset.key = "p";
     for (const button of document.querySelectorAll("button[data-key]")) button.innerHTML += `<kbd>${button.dataset.key}</kbd>`;
+    for (const key of document.querySelectorAll("button kbd")) key.ariaHidden = true; // of no button's name
     this.settings = new Settings(this);
     $("take").onclick = () => this.takeOrRelease();
     $("open").onclick = () => this.open();
     for (const order of ["stop", "hold"]) {
       const button = $(order === "stop" ? "stop" : "order_hold");
-      button.onpointerdown = () => this.halt(order);
-      button.onclick = (event) => event.detail || this.halt(order); // by Enter or the space bar
+      let pressed_ms = -Infinity;
+      button.onpointerdown = () => {
+        pressed_ms = performance.now();
+        this.halt(order);
+      };
+      button.onclick = () => performance.now() - pressed_ms > SAME_ACT_MS && this.halt(order); // by a key or an aid
     }
     document.querySelectorAll("select").forEach(openInPage);
     document.addEventListener("contextmenu", (event) => event.preventDefault()); // an open menu keeps keys from the page
@@ -39,7 +46,7 @@ export class Controls {
       this.ask(event.shiftKey ? { do: "shelve", alarm, lasting_s: SHELVED_S } : { do: "acknowledge", alarm });
     };
     $("commission").onclick = () => this.open({ commission: true });
-    $("reply_yes").onclick = () => performance.now() - this.asked_ms > YES_AFTER_MS && this.reply(true);
+    $("reply_yes").onclick = () => isDeliberate(this.asked_ms) && this.reply(true);
     $("reply_no").onclick = () => this.reply(false);
     $("second").onclick = () => this.ask({ do: "second", order: this.now.second_person.order });
     $("fault_device").onchange = () => this.faultKinds();
@@ -60,7 +67,7 @@ export class Controls {
     for (const [order, text, key] of orders) {
       const button = document.createElement("button");
       button.id = `order_${order}`;
-      button.innerHTML = `${text}<kbd>${key}</kbd>`;
+      button.innerHTML = `${text}<kbd aria-hidden="true">${key}</kbd>`;
       button.dataset.key = key;
       button.onclick = () => this.ask({ do: "order", order });
       $("settings_open").before(button);
@@ -75,8 +82,8 @@ export class Controls {
     this.notify("");
     $("question").textContent = answer.ask;
     const asked_ms = performance.now();
-    $("yes").onclick = (event) => {
-      if (event.detail && performance.now() - asked_ms < YES_AFTER_MS) return;
+    $("yes").onclick = () => {
+      if (!isDeliberate(asked_ms)) return;
       closeDialog($("confirm"));
       this.ask({ ...message, confirmed: true, mode: answer.mode });
     };
@@ -85,10 +92,11 @@ export class Controls {
 
   // Send STOP or HOLD before anything else, whatever this page shows.
   async halt(order) {
+    if (!this.link.connected) this.notify(`no connection: ${order.toUpperCase()} was not sent, use the emergency stop`);
     const answered = this.link.ask({ do: "order", order });
     closeDialog($("confirm"));
     const answer = await answered;
-    this.notify(answer.ok ? "" : answer.text);
+    if (answer.text !== "no connection") this.notify(answer.ok ? "" : answer.text);
   }
 
   notify(text) {
@@ -114,7 +122,8 @@ export class Controls {
   // STOP and HOLD first: by the place of the key and by its letter, whatever modifier, layout or focus.
   keyDown(event) {
     const halt = HALT[event.code] || HALT[String(event.key).toLowerCase()];
-    if (halt && this.now.open && this.link.connected) {
+    const typing = /^(INPUT|SELECT)$/.test(event.target.tagName);
+    if (halt && this.now.open !== false && (this.link.connected || !typing)) {
       event.preventDefault();
       event.stopPropagation();
       if (!event.repeat) this.halt(halt);
@@ -122,11 +131,10 @@ export class Controls {
     }
     if (event.ctrlKey || event.altKey || event.metaKey || $("who").open) return;
     if ($("confirm").open) {
-      if (event.key === "y") $("yes").click();
+      if (event.key === "y" && !event.repeat) $("yes").click();
       if (event.key === "Escape") closeDialog($("confirm"));
       return;
     }
-    const typing = /^(INPUT|SELECT)$/.test(event.target.tagName);
     if (event.key === "Escape" && typing) event.target.blur();
     if (typing) return;
     const rows = document.querySelectorAll(".axis").length;
@@ -148,8 +156,10 @@ export class Controls {
   // Press the key of one axis, or release it: axis null.
   jog(axis, direction) {
     clearInterval(this.jogging);
+    if (this.jogging) this.link.send({ do: "release_key" });
     this.jogging = null;
     if (axis === null || !this.page.bench.axes) return;
+    if (this.link.round_trip_ms > JOG_ROUND_TRIP_MS) return this.notify(noJog(this.link));
     const name = Object.keys(this.page.bench.axes)[axis];
     const press = async (first) => {
       const message = { do: "jog", axis: name, direction };
@@ -188,9 +198,13 @@ export class Controls {
     $("acknowledge").disabled = !mine || !(page.stop_reason || page.alarms.some((alarm) => !alarm.acknowledged));
     this.settings.show(page, mine && open);
     const jogs = mine && open && !page.commissioning && ["standby", "jogging"].includes(now.mode);
+    if (this.jogging && this.link.round_trip_ms > JOG_ROUND_TRIP_MS) {
+      this.jog(null);
+      this.notify(noJog(this.link));
+    }
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
     if (!jogs && this.jogging) this.jog(null);
-    const text = mine ? "Release" : now.lease.holder ? "Take over" : "Take command";
+    const text = now.lease.mine ? "Release" : now.lease.holder ? "Take over" : "Take command";
     if ($("take").firstChild.textContent !== text) $("take").firstChild.textContent = text;
     if (changed) this.lists(page, open);
     this.positions(now, page);
@@ -298,6 +312,14 @@ export class Controls {
     if (kind && kind.value && $("fault_value").value !== "") words.push($("fault_value").value);
     this.ask({ do: "fault", device: $("fault_device").value, line: words.join(" ") });
   }
+}
+
+// Whether an answer to a question that was drawn at asked_ms is no second click or repeated key of the act before.
+const isDeliberate = (asked_ms) => performance.now() - asked_ms > YES_AFTER_MS;
+
+function noJog(link) {
+  const ms = link.round_trip_ms;
+  return `no jog: ${Number.isFinite(ms) ? `a round trip takes ${ms.toFixed(0)} ms` : "the round trip is not known yet"}, allowed ${JOG_ROUND_TRIP_MS} ms`;
 }
 
 // Keep the screen of a phone or tablet on while a bench is open, where the browser can: on https pages.

@@ -2,7 +2,7 @@
 
 import { device, proof } from "/page/keys.js";
 
-const BEAT_MS = 200, RECONNECT_MS = 1000, LOST_MS = 500;
+const BEAT_MS = 200, RECONNECT_MS = 1000, LOST_MS = 500, DROPPED_MS = 3000;
 
 export class Link {
   // on: {message(header, rows, data), required(what), opened(), refused(text), lost()}; required returns, or promises, who
@@ -14,13 +14,19 @@ export class Link {
     this.beat_ms = 0;
     this.got = 0; // number of received messages: the console sends no more than the page can read
     this.received_ms = -Infinity;
+    this.sent = 0; // number of the last request that may move the bench
+    this.seen_s = null; // wall_s of the newest update that is drawn: what an operator acts on
+    this.round_trip_ms = Infinity; // the longest of the last beats
+    this.round_trips = [];
+    this.page = crypto.getRandomValues(new Uint32Array(4)).join("-"); // a new connection of this page replaces a lost one
+    setInterval(() => this.drop(), RECONNECT_MS);
     // key of this tab, also after a reload: the lease continues
     this.key = sessionStorage.getItem("hil.key") || crypto.getRandomValues(new Uint32Array(6)).join("-");
     sessionStorage.setItem("hil.key", this.key);
   }
 
   get connected() {
-    return Boolean(this.socket) && this.socket.readyState === WebSocket.OPEN;
+    return Boolean(this.socket) && this.greeted && this.socket.readyState === WebSocket.OPEN;
   }
 
   // Whether no message has been received for 0.5 s, also if the network fails silently.
@@ -33,16 +39,37 @@ export class Link {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
     socket.binaryType = "arraybuffer";
     this.got = 0;
-    this.asked = false;
+    this.sent = 0;
+    this.greeted = this.asked = false;
+    this.opened_ms = performance.now();
     socket.onmessage = (event) => this.receive(event.data);
     socket.onclose = (event) => {
-      if (this.socket === socket) this.socket = null;
-      for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
-      this.waiting.clear();
-      this.on.lost();
+      if (this.socket !== socket) return; // dropped before
+      this.socket = null;
+      this.forget();
       if (event.code !== 4401 && !this.asked) setTimeout(() => this.open(), RECONNECT_MS);
     };
     this.socket = socket;
+  }
+
+  // Drop a connection that has been silent for so long: what it still holds is refused for its age when it arrives.
+  drop() {
+    const since_ms = performance.now() - Math.max(this.received_ms, this.opened_ms);
+    if (!this.socket || !this.greeted || since_ms < DROPPED_MS) return;
+    this.socket.close();
+    this.socket = null;
+    this.forget();
+    this.open();
+  }
+
+  // What was asked has no answer any more.
+  forget() {
+    this.greeted = false;
+    for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
+    this.waiting.clear();
+    this.round_trips = [];
+    this.round_trip_ms = Infinity;
+    this.on.lost();
   }
 
   // Answer the challenge; if the operator has to be asked first, close the connection until open() is called again.
@@ -51,7 +78,8 @@ export class Link {
     if (socket !== this.socket) return;
     if (!who) return this.close();
     const proved = who.key ? await proof(who.key, challenge, this.key) : who;
-    socket.send(JSON.stringify({ key: this.key, device: device(), ...proved }));
+    socket.send(JSON.stringify({ key: this.key, page: this.page, device: device(), ...proved }));
+    this.greeted = true;
     this.on.opened();
   }
 
@@ -65,23 +93,35 @@ export class Link {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.challenge) this.greet(message);
+      else if (message.beat) this.beaten(message.beat);
       else if (message.refused) this.on.refused(message.refused);
       else this.answered(message);
       return;
     }
     const now = performance.now();
+    if (!this.socket) return;
     this.received_ms = now;
     this.got++;
     // sent here and not by a timer: timers of a background page are throttled
     if (now - this.beat_ms > BEAT_MS) {
       this.beat_ms = now;
-      this.send({ do: "beat", got: this.got });
+      this.socket.send(JSON.stringify({ do: "beat", got: this.got, sent_ms: now }));
     }
     const length = new DataView(data).getUint32(0, true);
     const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     const size = header.rows * header.columns;
     const rows = new Float32Array(data, 4 + length, size);
     this.on.message(header, rows, new Uint8Array(data, 4 + length + 4 * size));
+  }
+
+  beaten(sent_ms) {
+    this.round_trips = [...this.round_trips.slice(-4), performance.now() - sent_ms];
+    this.round_trip_ms = Math.max(...this.round_trips);
+  }
+
+  // Time since the newest values were received, s.
+  get age_s() {
+    return (performance.now() - this.received_ms) / 1000;
   }
 
   answered(message) {
@@ -91,7 +131,7 @@ export class Link {
   }
 
   send(message) {
-    if (this.connected) this.socket.send(JSON.stringify(message));
+    if (this.connected) this.socket.send(JSON.stringify({ ...message, seen_s: this.seen_s, number: ++this.sent }));
   }
 
   // Send a request; the answer: {ok, text, ask}
@@ -100,7 +140,7 @@ export class Link {
     const id = ++this.number;
     return new Promise((done) => {
       this.waiting.set(id, done);
-      this.socket.send(JSON.stringify({ ...message, id }));
+      this.send({ ...message, id });
     });
   }
 }

@@ -86,6 +86,7 @@ function draw(time_ms) {
   if (!now || !page) return;
   const stale = isStale(now) || link.lost;
   header(now, page, store);
+  link.seen_s = now.wall_s;
   controls.show(now, page);
   view.show(now, page, store);
   if (time_ms - slow_ms > SLOW_PERIOD_MS) {

@@ -14,8 +14,8 @@ export function reach(link) {
   const lost = link.lost, away = !document.hasFocus();
   document.body.classList.toggle("lost", lost);
   document.body.classList.toggle("away", away);
-  const age = Number.isFinite(link.received_ms) ? ` for ${((performance.now() - link.received_ms) / 1000).toFixed(1)} s` : "";
-  const text = lost ? `No connection to the console${age}: STOP may not arrive, use the emergency stop` : "Keys do not reach this window: click into it";
+  const waits = link.received_ms === -Infinity ? "Nothing received from the console yet" : `No connection to the console: values are ${link.age_s.toFixed(1)} s old`;
+  const text = lost ? `${waits}: STOP may not arrive, use the emergency stop` : "Keys do not reach this window: click into it";
   $("reach").textContent = lost || away ? text : "";
 }
 
