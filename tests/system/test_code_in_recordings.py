@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.cli.main import BAD_INPUT, PASSED, execute
+from hil.core import own_code
 from hil.core.own_code import note_data, note_users, require_trust
 from hil.errors import BadInput
 from tests.support.example_driver import EXAMPLES
@@ -77,7 +78,10 @@ def test_code_that_a_recording_names_is_loaded_only_if_it_is_trusted(form: str, 
     assert ran.exists()
 
 
-def test_relative_names_of_data_are_never_loaded_and_those_of_the_user_are() -> None:
+def test_relative_names_of_data_are_never_loaded_and_those_of_the_user_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own_code, "_of_data", {})
+    monkeypatch.setattr(own_code, "_of_user", set())
+
     def refuse(text: str) -> BadInput:
         return BadInput.single("gnc", "library", text)
 
