@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.messages import Array
+from hil.core.operator_commands import DEAD_MAN_S
 
-DEAD_MAN_S = 0.2
 SHARE_OF_RATE_NOT_HOMED = 0.02  # rate limit of an axis that is not homed
 _FAR = 100.0  # m or rad: further than any axis goes
 

@@ -78,13 +78,19 @@ class StopCommanded(Exception):
     """The operator commanded the end of the run."""
 
 
+HALTS: Final = (OperatorCommand.STOP, OperatorCommand.HOLD)
+"""Commands that every client of a console may give, without the command of the bench, and that are never too late."""
+DEAD_MAN_S: Final = 0.2
+"""Time for which a jog key counts as held after each refresh."""
+
+
 @dataclass(frozen=True, slots=True)
 class JogRequest:
     """Axis by its full name, ``rails.x``; direction 1 or -1. hold_s: bench time for which the key counts as held."""
 
     axis: str
     direction: int
-    hold_s: float = field(default=0.2, compare=False)
+    hold_s: float = field(default=DEAD_MAN_S, compare=False)
 
 
 class Operator:

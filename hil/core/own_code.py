@@ -62,9 +62,9 @@ def require_trust(name: str, refuse: Callable[[str], BadInput]) -> None:
     if source is None or name in _of_user:
         return
     path = Path(name)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "none: no such file"
     if not path.is_absolute():
         raise refuse(f"is code that {source} names, not by an absolute path: never loaded, name it yourself")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "none: no such file"
     if not _trusts.get():
         way = "if you trust it, --trust-code (Python: trust_code=True), or name it yourself"
         raise refuse(f"is code that {source} names (sha256 {digest[:16]}): not loaded; {way}")

@@ -21,29 +21,21 @@ ACT_S: Final = 0.5
 JOG_HOLD_S: Final = 0.4
 JOG_ROUND_TRIP_S: Final = 0.25
 """Longest round trip with which a page jogs: its updates, frames and key messages take the rest of ``JOG_HOLD_S``."""
-PROGRAM_JOG_S: Final = 0.2
-"""Duration of a jog by a program without ``seen_s``, from the arrival of each of its messages."""
 MOVING: Final = frozenset({"open", "order", "second", "reply", "jog", "adjust"})
 """Requests that may move the bench, or change how it moves."""
 
 
-def seen_at(request: Mapping[str, Any], now_s: float) -> float:
-    """Return the time of the update that the operator saw; raise RequestRejected without a valid one."""
-    seen_s = request.get("seen_s")
-    is_number = isinstance(seen_s, int | float) and not isinstance(seen_s, bool) and math.isfinite(seen_s)
-    if not is_number or seen_s > now_s:  # type: ignore[operator]
-        raise RequestRejected(f"{_what(request)}: seen_s {seen_s!r}: required is wall_s of the newest update")
-    return float(seen_s)  # type: ignore[arg-type]
-
-
 def deadline_of(request: Mapping[str, Any], now_s: float) -> float:
-    """Return until when a request may act; raise RequestRejected if that has passed."""
-    seen_s = seen_at(request, now_s)
+    """Return until when a request may act; raise RequestRejected if that has passed, or without a valid ``seen_s``."""
+    seen_s: Any = request.get("seen_s")
+    is_number = isinstance(seen_s, int | float) and not isinstance(seen_s, bool)
+    if not (is_number and -math.inf < seen_s <= now_s):
+        raise RequestRejected(f"{_what(request)}: seen_s {seen_s!r}: required is wall_s of the newest update")
     age_s, limit_s = now_s - seen_s, JOG_HOLD_S if request.get("do") == "jog" else ACT_S
     if age_s > limit_s:
         text = f"is not executed: it was given {age_s:.1f} s ago, allowed {limit_s:g} s"
         raise RequestRejected(f"{_what(request)} {text}: the connection delayed it")
-    return seen_s + limit_s
+    return float(seen_s) + limit_s
 
 
 def require_order(request: Mapping[str, Any], last: int) -> int:

@@ -33,7 +33,7 @@ from hil.core import alarm_table as table
 from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import JogRequest, Operator, OperatorCommand
+from hil.core.operator_commands import HALTS, JogRequest, Operator, OperatorCommand
 from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -48,8 +48,6 @@ _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
 _PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
 NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
-NEVER_LATE: Final = (OperatorCommand.STOP, OperatorCommand.HOLD)
-"""Commands that are executed at whatever age. ABORT moves the chaser: it is refused as any motion is."""
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
 
@@ -214,8 +212,8 @@ class RemoteOperator(Operator):
         elif "search" in message:
             self._messages.send(answer=message["id"], text=self._search_in(message["search"], who))
         elif "adjust" in message:
-            late = self._wall_s() > message.get("until_s", math.inf)
-            text = "came too late to be applied: change it again" if late else self._adjust(message["adjust"], who)
+            late = "came too late to be applied: change it again"
+            text = late if self._is_late(message) else self._adjust(message["adjust"], who)
             self._messages.send(answer=message["id"], text=text)
         elif "order" in message:
             self._messages.send(answer=message["id"], **self._order(message, who))
@@ -234,7 +232,7 @@ class RemoteOperator(Operator):
         if mode not in command.modes:
             refusal = f"bench: cannot {word} in {mode.value}"
             refusal += ": STOP ends it" if command is OperatorCommand.HOLD and mode not in AT_REST else ""
-        elif command not in NEVER_LATE and self._wall_s() > message.get("until_s", math.inf):
+        elif command not in HALTS and self._is_late(message):  # ABORT moves the chaser: it is refused as any motion is
             refusal = f"bench: {word} came too late to be executed: command it again"
         elif command.question:
             if message.get("confirmed") is not True:
@@ -247,6 +245,9 @@ class RemoteOperator(Operator):
             self.submit(command)
         self._log_event("operator", operator, f"{word}{refusal and f': rejected: {refusal}'}")
         return {"text": refusal}
+
+    def _is_late(self, message: dict[str, Any]) -> bool:
+        return bool(self._wall_s() > message.get("until_s", math.inf))
 
     def _search_in(self, box: list[int] | None, operator: Actor) -> str:
         """Set the docking monitor's region of search, u, v, width, height, px; return the reason of a rejection."""

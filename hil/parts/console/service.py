@@ -7,11 +7,11 @@ from typing import Any, Final
 
 from hil.checks.waivers import waivers
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import OperatorCommand
+from hil.core.operator_commands import DEAD_MAN_S, HALTS, OperatorCommand
 from hil.core.operator_keys import RIGHTS
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
-from hil.parts.console.freshness import ACT_S, MOVING, PROGRAM_JOG_S, deadline_of, require_order
+from hil.parts.console.freshness import ACT_S, MOVING, deadline_of, require_order
 from hil.parts.console.lease import RequestRejected
 from hil.parts.console.live_view import Client
 from hil.parts.console.remote_operator import NO_MONITOR
@@ -24,8 +24,7 @@ COMMISSION_QUESTION: Final = (
     "run. The questions come to this page. Is the bench clear of people, and is the emergency stop in your hand?"
 )
 OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
-WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
-"""Commands that each client may send, with the command of the bench or without it."""
+WITHOUT_COMMAND: Final = tuple(command.value for command in HALTS)
 NEEDS_KEYS: Final = "the rig requires a second person, whom only a key identifies: start the console with --operators"
 SECOND_PERSON_S: Final = 30.0
 """Time in which another person has to confirm a command that requires it, wall clock."""
@@ -124,7 +123,7 @@ class ConsoleService(ClientUpdates):
     def _deadline(self, client: Client, command: dict[str, Any]) -> float:
         """Return until when a request of ``client`` may act. Programs that are no pages may send no ``seen_s``."""
         if not client.page and "seen_s" not in command:
-            return self.wall_s() + (PROGRAM_JOG_S if command["do"] == "jog" else ACT_S)
+            return self.wall_s() + (DEAD_MAN_S if command["do"] == "jog" else ACT_S)
         client.requests = require_order(command, client.requests)
         return deadline_of(command, self.wall_s())
 

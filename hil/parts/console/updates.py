@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.core.operator_commands import OperatorCommand
 from hil.parts.console.columns import COLUMNS, NAMES
+from hil.parts.console.freshness import JOG_ROUND_TRIP_S
 from hil.parts.console.live_view import Client
 from hil.parts.console.message import ImageMessage
 from hil.parts.console.session_manager import SessionManager
@@ -77,6 +78,7 @@ class ClientUpdates(SessionManager):
             "commissioning": self.session is not None and self.choice.signed_by is not None,
             "obeyed_in": {order.value: [mode.value for mode in order.modes] for order in OperatorCommand},
             "orders": [[order.value, order.button, order.key] for order in OperatorCommand if order.button],
+            "jog_round_trip_s": JOG_ROUND_TRIP_S,
             "stop_reason": self.stop_reason,
             "log": list(self.log_lines)[-40:],
             "settings": self.tuner.available() if self.tuner is not None and self.session is not None else [],

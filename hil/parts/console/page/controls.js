@@ -6,7 +6,6 @@ import { Settings } from "/page/settings.js";
 const $ = (id) => document.getElementById(id);
 const SHELVED_S = 600;
 const JOG_MS = 60;
-const JOG_ROUND_TRIP_MS = 250; // beyond it a jog would be interrupted: the bench stops it 0.4 s after what was drawn
 const ANSWER_MS = 6000;
 
 const YES_AFTER_MS = 400; // who has just clicked or pressed a key does not confirm by the second of a pair
@@ -159,7 +158,7 @@ export class Controls {
     if (this.jogging) this.link.send({ do: "release_key" });
     this.jogging = null;
     if (axis === null || !this.page.bench.axes) return;
-    if (this.link.round_trip_ms > JOG_ROUND_TRIP_MS) return this.notify(noJog(this.link));
+    if (this.tooSlowToJog()) return;
     const name = Object.keys(this.page.bench.axes)[axis];
     const press = async (first) => {
       const message = { do: "jog", axis: name, direction };
@@ -173,6 +172,14 @@ export class Controls {
     this.choose(axis);
     press(true);
     this.jogging = setInterval(() => press(false), JOG_MS);
+  }
+
+  // Whether a jog would be interrupted: the bench ends it so long after what was drawn. Shows the number.
+  tooSlowToJog() {
+    const ms = this.link.round_trip_ms, most_ms = 1000 * this.page.jog_round_trip_s;
+    if (ms <= most_ms) return false;
+    this.notify(`no jog: ${Number.isFinite(ms) ? `a round trip takes ${ms.toFixed(0)} ms` : "the round trip is not known yet"}, allowed ${most_ms} ms`);
+    return true;
   }
 
   // Update the controls from the state of the console.
@@ -198,10 +205,7 @@ export class Controls {
     $("acknowledge").disabled = !mine || !(page.stop_reason || page.alarms.some((alarm) => !alarm.acknowledged));
     this.settings.show(page, mine && open);
     const jogs = mine && open && !page.commissioning && ["standby", "jogging"].includes(now.mode);
-    if (this.jogging && this.link.round_trip_ms > JOG_ROUND_TRIP_MS) {
-      this.jog(null);
-      this.notify(noJog(this.link));
-    }
+    if (this.jogging && this.tooSlowToJog()) this.jog(null);
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
     if (!jogs && this.jogging) this.jog(null);
     const text = now.lease.mine ? "Release" : now.lease.holder ? "Take over" : "Take command";
@@ -316,11 +320,6 @@ export class Controls {
 
 // Whether an answer to a question that was drawn at asked_ms is no second click or repeated key of the act before.
 const isDeliberate = (asked_ms) => performance.now() - asked_ms > YES_AFTER_MS;
-
-function noJog(link) {
-  const ms = link.round_trip_ms;
-  return `no jog: ${Number.isFinite(ms) ? `a round trip takes ${ms.toFixed(0)} ms` : "the round trip is not known yet"}, allowed ${JOG_ROUND_TRIP_MS} ms`;
-}
 
 // Keep the screen of a phone or tablet on while a bench is open, where the browser can: on https pages.
 let awake = null;

@@ -42,7 +42,7 @@ export class Link {
     this.sent = 0;
     this.greeted = this.asked = false;
     this.opened_ms = performance.now();
-    socket.onmessage = (event) => this.receive(event.data);
+    socket.onmessage = (event) => socket === this.socket && this.receive(event.data);
     socket.onclose = (event) => {
       if (this.socket !== socket) return; // dropped before
       this.socket = null;
@@ -99,7 +99,6 @@ export class Link {
       return;
     }
     const now = performance.now();
-    if (!this.socket) return;
     this.received_ms = now;
     this.got++;
     // sent here and not by a timer: timers of a background page are throttled
