@@ -61,7 +61,7 @@ def letterbox(rng: np.random.Generator) -> tuple[Array, Array]:
 def window(rng: np.random.Generator) -> tuple[Array, Array]:
     """Return a bright window with bars."""
     u0, v0 = rng.uniform(50.0, 400.0, 2)
-    inside = (_U > u0) & (_V > v0) & (_U < u0 + rng.uniform(400.0, 600.0)) & (_V < v0 + rng.uniform(400.0, 600.0))
+    inside = (u0 < _U) & (v0 < _V) & (u0 + rng.uniform(400.0, 600.0) > _U) & (v0 + rng.uniform(400.0, 600.0) > _V)
     pitch, bar = rng.uniform(110.0, 180.0), rng.uniform(12.0, 24.0)
     panes = inside & ((_U - u0) % pitch > bar) & ((_V - v0) % pitch > bar)
     return rng.uniform(8.0, 25.0) + rng.uniform(60.0, 130.0) * gaussian_filter(panes.astype(float), 1.0), _ALL
@@ -70,7 +70,7 @@ def window(rng: np.random.Generator) -> tuple[Array, Array]:
 def door(rng: np.random.Generator) -> tuple[Array, Array]:
     """Return a bright doorway."""
     u0, wide, v0 = rng.uniform(200.0, 700.0), rng.uniform(120.0, 250.0), rng.uniform(100.0, 350.0)
-    inside = (_U > u0) & (u0 + wide > _U) & (v0 < _V)
+    inside = (u0 < _U) & (u0 + wide > _U) & (v0 < _V)
     return rng.uniform(8.0, 25.0) + rng.uniform(60.0, 130.0) * gaussian_filter(inside.astype(float), 1.2), _ALL
 
 
@@ -79,7 +79,7 @@ def tubes(rng: np.random.Generator) -> tuple[Array, Array]:
     levels = np.full((SIZE, SIZE), rng.uniform(10.0, 30.0))
     for _ in range(3):
         u0, v0 = rng.uniform(0.0, 500.0), rng.uniform(20.0, 330.0)
-        inside = (_U > u0) & (_U < u0 + rng.uniform(250.0, 450.0)) & (np.abs(_V - v0) < rng.uniform(6.0, 14.0))
+        inside = (u0 < _U) & (u0 + rng.uniform(250.0, 450.0) > _U) & (np.abs(_V - v0) < rng.uniform(6.0, 14.0))
         levels += 400.0 * gaussian_filter(inside.astype(float), 1.5)
     return levels, _ALL
 
@@ -96,7 +96,9 @@ def rectangles(rng: np.random.Generator) -> tuple[Array, Array]:
     levels = np.full((SIZE, SIZE), rng.uniform(15.0, 60.0))
     for _ in range(40):
         (u0, v0), (wide, high) = rng.uniform(-60.0, SIZE, 2), np.exp(rng.uniform(np.log(40.0), np.log(300.0), 2))
-        levels[int(max(v0, 0)) : int(max(v0 + high, 0)), int(max(u0, 0)) : int(max(u0 + wide, 0))] = rng.uniform(10, 110)
+        levels[int(max(v0, 0)) : int(max(v0 + high, 0)), int(max(u0, 0)) : int(max(u0 + wide, 0))] = rng.uniform(
+            10, 110
+        )
     return gaussian_filter(levels, 1.0), _ALL
 
 
@@ -114,7 +116,7 @@ def shaded_wall(rng: np.random.Generator) -> tuple[Array, Array]:
     """Return a wall lit from one side, with the shadow of a cabinet."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     slope = 0.5 + ((_U - 512.0) * np.cos(angle) + (_V - 512.0) * np.sin(angle)) / 1450.0
-    shadow = (_U > rng.uniform(200.0, 600.0)) & (_V > rng.uniform(200.0, 600.0))
+    shadow = (rng.uniform(200.0, 600.0) < _U) & (rng.uniform(200.0, 600.0) < _V)
     return rng.uniform(60.0, 130.0) * slope * (1.0 - 0.8 * gaussian_filter(shadow.astype(float), 2.0)) + 8.0, _ALL
 
 
@@ -195,4 +197,3 @@ LAB_ROWS = (
     Row("reflections beside a ring with hidden LEDs", VERY_GOOD, beside, expected=_EITHER),
     Row("one or two dead LEDs, up to three other lights", VERY_GOOD, dead_leds, expected=Expectation(0.6)),
 )
-
