@@ -34,7 +34,8 @@ LOWER: Final = 2  # lines 1, 3, 5 ...
 
 _IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
-_RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
+_RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate
+_SAME_RATE: Final = 5e-4  # relative: a file with another rate has its own times
 _LONGEST_COUNT: Final = 1e8  # a container that states more images than this has no valid number
 
 
@@ -75,12 +76,19 @@ def exposure(scene: Scene, number: int) -> tuple[float, int]:
 
 
 class Source:
-    """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known."""
+    """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known.
 
-    def __init__(self, name: str, scene: Scene, images: Iterator[NumberedImage], count: int | None) -> None:
+    scene: with the rate of the images, if the file states another one, which ``note`` then says. stamped: whether times
+    are those of the file or of their arrival; else they rest on the scene's rate.
+    """
+
+    def __init__(
+        self, name: str, scene: Scene, images: Iterator[NumberedImage], count: int | None, stamped: bool = True,
+        note: str = "",
+    ) -> None:  # fmt: skip
         self.name = name
         self.image_count = count
-        self._scene = scene
+        self.scene, self.stamped, self.note = scene, stamped, note
         self._pictures = images
         self._first: NumberedImage | None = next(images)  # an invalid source raises when it is opened
 
@@ -94,7 +102,7 @@ class Source:
     def _frames(self, first: NumberedImage) -> Iterator[VideoFrame]:
         numbered: NumberedImage | None = first
         while numbered is not None:
-            yield from _exposures(*numbered, self._scene)
+            yield from _exposures(*numbered, self.scene)
             numbered = next(self._pictures, None)
 
 
@@ -156,9 +164,13 @@ def _video(path: Path, scene: Loaded[Scene]) -> Source:
     if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _RATE_TOLERANCE * expected:
         text = f"{stated:g} images per second: must be {expected:g}, fps of {scene.source}"
         raise BadInput.single(str(path), "image rate", text)
-    stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    count = int(stated) if 0.0 < stated < _LONGEST_COUNT else None
-    return Source(str(path), scene.value, _video_images(capture, path, scene, count), count)
+    note = ""
+    if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _SAME_RATE * expected:
+        note = f"{stated:.6g} images per second by the file, which count; fps of {scene.source} is {expected:g}"
+        scene = replace(scene, value=scene.value.model_copy(update={"fps": stated}))
+    images = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    count = int(images) if 0.0 < images < _LONGEST_COUNT else None
+    return Source(str(path), scene.value, _video_images(capture, path, scene, count), count, note=note)
 
 
 def _video_images(
@@ -189,7 +201,7 @@ def _folder(path: Path, scene: Loaded[Scene]) -> Source:
         raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(_IMAGES))}")
     slots = _slots(files)
     ordered = sorted(zip(slots, files, strict=True))
-    return Source(str(path), scene.value, _folder_images(ordered, scene), len(files))
+    return Source(str(path), scene.value, _folder_images(ordered, scene), len(files), stamped=False)
 
 
 def _slots(files: list[Path]) -> list[int]:
