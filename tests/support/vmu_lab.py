@@ -29,7 +29,7 @@ def _side(rng: np.random.Generator, along_u: bool) -> Array:
 
 
 def curtain(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return a dark curtain beside a lit wall."""
+    """Return a dark curtain next to a lit wall."""
     return rng.uniform(5.0, 15.0) + rng.uniform(40.0, 130.0) * _side(rng, True), _ALL
 
 
@@ -164,7 +164,7 @@ def twins(rng: np.random.Generator, count: int) -> Iterable[Frame]:
 
 
 def beside(rng: np.random.Generator, count: int) -> Iterable[Frame]:
-    """Yield a ring of which some LEDs are hidden beside the complete image of it in a vertical mirror."""
+    """Yield a ring of which some LEDs are hidden next to its complete image in a vertical mirror."""
     for _ in range(count):
         scene, truth = real_bench(VERY_GOOD, rng, PixelOptics()), somewhere(rng, 1.5, 7.0)
         lit = rng.choice(6, int(rng.integers(3, 6)), replace=False)

@@ -78,7 +78,7 @@ def exposure(scene: Scene, number: int) -> tuple[float, int]:
 class Source:
     """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known.
 
-    scene: with the rate of the images, if the file states another one, which ``note`` then says. stamped: whether times
+    scene: with the rate of the images if the file states another one, which is then in ``note``. stamped: whether times
     are those of the file or of their arrival; else they rest on the scene's rate.
     """
 

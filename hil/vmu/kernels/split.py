@@ -3,7 +3,7 @@
 A background that has a step floods as one component, far too large for a light. Here it is taken apart: blocks of the
 image have their largest sum of 3 x 3 pixels, and the background at a block is the opening of these by a line of blocks,
 the largest over four directions. That is what continues over the whole line on one side at least: a wall, its edge, a
-cable; a light that is shorter than the line is no part of it. Short lines first, so that lights beside an edge stand
+cable; a light that is shorter than the line is no part of it. Short lines first, so that lights next to an edge stand
 out, then longer ones for larger lights.
 """
 
@@ -62,7 +62,7 @@ def is_fringe(label, components, k):
 def split_large(frame, components, lights, count):
     """Replace the components that are too large for a light by the lights in them; return the number of all.
 
-    Lights that belong to none of them stay as they are. TOO_MANY, -1, if there is no room.
+    Lights that belong to none of them stay as they are. TOO_MANY, -1, if these are too many.
     """
     rows, columns = frame.image.shape
     u0, v0, u1, v1 = columns, rows, -1, -1
@@ -95,7 +95,7 @@ def split_large(frame, components, lights, count):
 def lights_of_steps(frame, windows, components, lights):
     """Write the lights of a background of steps, of the whole image or around ``windows`` (k, 4); return how many.
 
-    TOO_MANY, -1, if there is no room.
+    TOO_MANY, -1, if these are too many.
     """
     rows, columns = frame.image.shape
     frame.label[:] = LARGE if windows.shape[0] == 0 else 0
@@ -118,7 +118,7 @@ def lights_of_steps(frame, windows, components, lights):
 def lights_in(frame, u0, v0, u1, v1, components, lights, count):
     """Append the lights in the pixels labelled LARGE of a box (u1, v1 excluded); return the number of components.
 
-    TOO_MANY, -1, if there is no room. No pixel is labelled LARGE afterwards.
+    TOO_MANY, -1, if these are too many. No pixel is labelled LARGE afterwards.
     """
     rows, columns = frame.image.shape
     shape = (((rows - 1) >> _SHIFT) + 1, ((columns - 1) >> _SHIFT) + 1)
@@ -202,7 +202,7 @@ def _fill_limit(frame, maxima, box, length, dark, least, limit):
 
 @kernel
 def stands_out(frame, row):
-    """Return whether a component is a peak across all directions: a piece of an edge or a cable goes on along its own.
+    """Return whether a component is a peak in all directions: a piece of an edge or a cable continues along its own.
 
     Its largest sum has to exceed, by half of what it is above its surroundings, the lower one of the sums on both sides
     along each direction.

@@ -1,4 +1,4 @@
-"""Vision unit before the pictures of a real laboratory: steps of the background, ghosts, reflections, refusals."""
+"""Vision unit on images of a real laboratory: steps of the background, ghosts, reflections, refusals."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_ring_before_a_background_with_steps_is_measured(name: str) -> None:
 
 
 def test_background_with_a_step_has_no_lights() -> None:
-    """A wall beside a curtain is no component as large as the image, and its edge is no light."""
+    """A wall next to a curtain is no component as large as the image, and its edge is no light."""
     rng, detector = np.random.default_rng(3), SpotDetector((1024, 1024))
     for draw in (BACKDROPS["curtain"], BACKDROPS["window with bars"]):
         levels, seen = draw(rng)
@@ -93,7 +93,7 @@ def test_reflection_of_a_ring_with_hidden_leds_is_not_the_pose(frames: Backdrop)
         (6, 250.0, "rejected_bright", "98 % of an image at full scale: shorten the exposure"),
     ],
 )
-def test_refusal_says_what_and_how_much_and_what_to_do(lit: int, levels: float, status: str, why: str) -> None:
+def test_refusal_has_cause_amount_and_remedy(lit: int, levels: float, status: str, why: str) -> None:
     rng, unit = np.random.default_rng(6), VisionUnit(known_geometry(VERY_GOOD))
     scene, truth = (
         real_bench(
