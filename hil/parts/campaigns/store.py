@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
-from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
+from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text, replaced
 from hil.core.surroundings import lock
 from hil.errors import BadInput, CampaignStopped, one_line
 from hil.parts.campaigns.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
@@ -246,18 +246,11 @@ class Store:
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path that is renamed to ``path`` at the end, or removed on an error."""
-    partial = path.with_name(f"{path.name}.part")
     try:
-        yield partial
-        with partial.open("rb") as written:
-            os.fsync(written.fileno())
-        os.replace(partial, path)
+        with replaced(path) as partial:
+            yield partial
     except OSError as error:
-        partial.unlink(missing_ok=True)
         _stop_if_full(error, path.parent)
-        raise
-    except BaseException:
-        partial.unlink(missing_ok=True)
         raise
 
 
