@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+
+OFFICIAL: Final = "official"
+OPENCV: Final = "opencv"
+LEGACY: Final = "legacy"
 
 
 class Calibration(ConfigModel):
@@ -132,6 +136,10 @@ class VmuGeometry(ConfigModel):
     """Rotation vector of the right camera's axes in the left one's: ``p_v = R p_right + baseline_m``."""
     marked_led: Annotated[int, Field(ge=0)] | None = None
     """Index of an LED that is brighter by a factor of at least 1.3."""
+    print: Literal["official", "opencv", "legacy"] | None = None
+    """Which way a target of `apriltag` or `charuco` is printed. AprilTags: `official`, as by the AprilTag library and
+    `hil targets print`, or `opencv`, turned by 180 deg. ChArUco boards: `opencv`, or `legacy`, of OpenCV before 4.6.
+    Unless set, it is taken from the places of several tags; poses that it leaves open are `rejected_print`."""
     sensor: Sensor | None = None
     tolerances: Tolerances = Tolerances()
     calibration: Calibration | None = None

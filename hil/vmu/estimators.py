@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.vmu_geometry import OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.errors import BadInput, BenchError, DeviceError
 
@@ -31,6 +31,8 @@ _BUILT_IN: Final = {
     "apriltag": "hil.vmu.boards:apriltag",
     "charuco": "hil.vmu.boards:charuco",
 }
+DRAWN: Final = {"apriltag": OFFICIAL, "charuco": OPENCV}
+"""Print of the target that rendered and emulated cameras draw, unless a geometry file states another."""
 _UNIT: Final = 1e-6
 _DEFINITE: Final = -1e-9  # relative to the largest eigenvalue
 
