@@ -65,7 +65,7 @@ _RECORD_BYTES_MAX: Final = 64 * MIB
 _BLOCK_BYTES_MAX: Final = 256 * MIB
 """Longest block, packed and unpacked; this program closes its own after 1 MiB, images make them longer."""
 _WINDOW_BYTES_MAX: Final = 128 * MIB  # of zstd, at its highest level
-_UNPACKED_FREE: Final = 256 * MIB
+_UNPACKED_FREE: Final = 8 * MIB
 _UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
 _INDEXED: Final = {
     ChunkIndex: Opcode.CHUNK,
