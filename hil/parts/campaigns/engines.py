@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Generator, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -249,10 +250,10 @@ _program = cache(program_digest.program)
 
 def _difference(program: Mapping[str, str], expected: Mapping[str, str]) -> str:
     """Return in what a worker's ``program`` differs from the campaign's, "" if in nothing."""
-    if program["hil"] == "none":
+    if program["digest"] == "none":
         return "the package hil-bench is not installed there"
     other = [f"{key} {program[key]} (here {expected[key]})" for key in expected if program[key] != expected[key]]
-    return f"it has {', '.join(other)}" if other else ""
+    return f"its hil {program['hil']} is another program: {', '.join(other)}" if other else ""
 
 
 class DaskEngine:
@@ -274,7 +275,9 @@ class DaskEngine:
             if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
-            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of versions, which are compared here
+                self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BadInput.single("--scheduler", "", f"{address}: cannot be reached: {reason}") from error
