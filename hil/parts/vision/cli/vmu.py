@@ -132,7 +132,7 @@ def vmu(
     out
         CSV file to write.
     rate_hz
-        Frame rate: the time of a frame is its number divided by this.
+        Frame rate: the time of a frame is its number divided by this; of two videos, that of the files.
     overlay
         Folder for one image per frame: spots, identities, reprojected LEDs, pose.
     json
@@ -210,7 +210,7 @@ def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float)
 
 
 def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
-    """Yield each pair with the time of its exposure, s: cameras by the clock, others by their number.
+    """Yield each pair with the time of its exposure, s: cameras by the clock, videos by their times, others by number.
 
     Cameras are sampled at ``rate_hz``, frames between are dropped; others wait for their time if paced.
     """
@@ -222,7 +222,7 @@ def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) ->
                 due_s = max(due_s + 1.0 / rate_hz, now_s)
                 yield now_s, pair
             continue
-        t_s = pair.frame / rate_hz
+        t_s = pair.frame / rate_hz if pair.t_s is None else pair.t_s
         if paced:
             time.sleep(max(0.0, t_s - now_s))
         yield t_s, pair
