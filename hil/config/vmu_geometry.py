@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 
+_BASELINE_M, _LED_M, _FOCAL = 10.0, 20.0, (0.05, 200.0)
+"""Largest sizes of a bench, and focal lengths in widths of the image."""
 OFFICIAL: Final = "official"
 OPENCV: Final = "opencv"
 LEGACY: Final = "legacy"
@@ -144,3 +147,20 @@ class VmuGeometry(ConfigModel):
     tolerances: Tolerances = Tolerances()
     calibration: Calibration | None = None
     """Record of ``hil calibrate``."""
+
+    @model_validator(mode="after")
+    def _sizes_are_of_a_bench(self) -> Self:
+        for name, points, largest in (("baseline_m", (self.baseline_m,), _BASELINE_M), ("leds_m", self.leds_m, _LED_M)):
+            longest = max(math.hypot(*point) for point in points)
+            if longest > largest:
+                raise ValueError(f"{name}: {longest:g} m, allowed {largest:g} m: millimetres?")
+        turn = math.hypot(*self.right_rotation_rad)
+        if turn > math.pi + 1e-9:
+            raise ValueError(f"right_rotation_rad: {turn:g} rad, allowed 3.1416 rad: degrees?")
+        for side in ("left", "right"):
+            camera = getattr(self, side)
+            fractions = camera.fx / camera.width, camera.fy / camera.width
+            if not all(_FOCAL[0] <= each <= _FOCAL[1] for each in fractions):
+                text = f"{camera.fx:g}, {camera.fy:g} px of {camera.width} px width: pixels, not millimetres?"
+                raise ValueError(f"{side}.fx, fy: {text}")
+        return self

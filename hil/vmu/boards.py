@@ -12,7 +12,7 @@ from hil.config.vmu_geometry import LEGACY, OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import quat
-from hil.vmu.estimators import FlatTarget, PoseEstimate
+from hil.vmu.estimators import PRINT, FlatTarget, PoseEstimate
 from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels.records import MAX_LEDS, SPOT
 from hil.vmu.pose import Solver, SolverSettings, fits_within_budget
@@ -23,7 +23,6 @@ Reader = Callable[[Any], Corners]
 
 TOO_FEW: Final = "too_few"
 NO_MATCH: Final = "rejected_no_match"
-PRINT: Final = "rejected_print"
 _OK: Final = "ok"
 _AMBIGUOUS: Final = "ambiguous"
 _SHIFTED: Final = 4.5  # sigmas between the two images

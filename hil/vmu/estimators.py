@@ -26,6 +26,8 @@ from hil.errors import BadInput, BenchError, DeviceError
 
 GROUP: Final = "hil.pose_estimators"
 LED_RING: Final = "led_ring"
+PRINT: Final = "rejected_print"
+"""Status: the target fits several ways to print it, or not the one of the geometry file."""
 _BUILT_IN: Final = {
     LED_RING: "hil.vmu.estimators:led_ring",
     "apriltag": "hil.vmu.boards:apriltag",

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from functools import cache
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from hil.cli.main import PASSED, execute
+from hil.config.load import load_geometry
 from hil.errors import BadInput
 from hil.vmu.estimators import FlatTarget, PoseEstimate, make_estimator
 from hil.vmu.prints import AprilTagSettings, CharucoSettings
@@ -146,3 +152,42 @@ def test_board_is_drawn_the_way_that_is_stated() -> None:
     stated = [make_estimator("apriltag", geometry(way), {}).board for way in ("official", "opencv")]  # type: ignore[attr-defined]
     assert (rolled(stated[0]) == rolled(stated[1])[::-1, ::-1]).mean() > 0.97
     assert (rolled(stated[0]) == rolled(stated[1])).mean() < 0.9
+
+
+def test_command_measures_tags_by_the_estimator_of_a_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, pair_ in enumerate((seen("36h11", TWO), seen("36h11", TWO, hidden=2))):
+        for side, image in zip(("left", "right"), pair_, strict=True):
+            (tmp_path / side).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / side / f"{number}.png"), image)
+    rig, made, out = tmp_path / "tags.toml", tmp_path / "vmu.json", tmp_path / "poses.csv"
+    rig.write_text(
+        f'extends = "mock"\nvmu.estimator = "apriltag"\nvmu.estimator_settings.tags = {[list(tag) for tag in TWO]}\n'
+    )
+    made.write_text(geometry(None).model_dump_json())
+    command = ["vmu", str(tmp_path), "--geometry", str(made), "--rig", str(rig), "--out", str(out)]
+    assert execute(command) == PASSED
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["status"] for row in rows] == ["ok", "rejected_print"]
+    assert float(rows[0]["z_m"]) == pytest.approx(AT[2], abs=0.01)
+    assert "rejected_print: the target fits several prints" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"baseline_m": (200.0, 0.0, 0.0)}, "baseline_m: 200 m, allowed 10 m: millimetres?"),
+        (
+            {"leds_m": ((120.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))},
+            "leds_m: 120 m, allowed 20 m: millimetres?",
+        ),
+        ({"right_rotation_rad": (0.0, 5.0, 0.0)}, "right_rotation_rad: 5 rad, allowed 3.1416 rad: degrees?"),
+        ({"left": {**geometry().left.model_dump(), "fx": 8.0}}, "left.fx, fy: 8, 800 px of 640 px width: pixels, not"),
+    ],
+)
+def test_sizes_beyond_a_bench_name_the_likely_mistake(tmp_path: Path, change: dict[str, Any], text: str) -> None:
+    path = tmp_path / "vmu.json"
+    path.write_text(json.dumps(geometry().model_dump() | change))
+    with pytest.raises(BadInput) as caught:
+        load_geometry(str(path))
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
