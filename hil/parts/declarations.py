@@ -58,6 +58,7 @@ VISION: Final = Part(
             "hil.parts.vision.cli.vmu:vmu",
             "Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.",
         ),
+        "targets": PartCommand("hil.parts.vision.cli.targets:app", "Targets of the vision unit: print their sheets."),
         "calibrate": PartCommand(
             "hil.parts.vision.cli.calibrate:calibrate",
             "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.",
