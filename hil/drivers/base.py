@@ -75,6 +75,22 @@ class LimitsSetpoints(Protocol):
 
 
 @runtime_checkable
+class Streams(Protocol):
+    """An axis group whose drives interpolate between setpoints, and must know the time between them."""
+
+    def set_period(self, period_s: float) -> None:
+        """Expect a setpoint every ``period_s``, from the next ``open`` on."""
+
+
+@runtime_checkable
+class Describes(Protocol):
+    """An axis group that reports what it uses of its drives."""
+
+    def facts(self) -> list[str]:
+        """Return the mode, units and watchdog of each opened drive, a line each."""
+
+
+@runtime_checkable
 class Parks(Protocol):
     """An axis group with profiled moves."""
 

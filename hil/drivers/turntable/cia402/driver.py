@@ -25,6 +25,9 @@ from hil.errors import BadInput, DeviceError, LinkTimeout, ProtocolError
 
 _RESPONSE_S: Final = 0.04  # bench time within which the responses to one SYNC are valid
 _WATCHDOG_S: Final = 0.5  # drives make a quick stop without setpoints for longer
+_ROUNDING: Final = 1e-6
+_HELD_EVERY_WALL_S: Final = 0.1
+_POLL_WALL_S: Final = 0.002
 _DEFERRED_MAX: Final = 100
 _OLD_FRAMES_WALL_S: Final = 0.005
 _CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, in case a frame was lost
@@ -96,7 +99,7 @@ class Cia402Link:
         for node in self._nodes:
             setup = DriveSetup(port, network, node.node_id, node.name, self._eds, self._on_other, self._clock)
             node.set_up(setup, _WATCHDOG_S, self.period_s)
-            node.protocol_errors = node.surplus = 0
+            node.protocol_errors = node.surplus = node.warnings = 0
         setups = [node.setup for node in self._nodes if node.setup is not None]
         # other nodes of the bus do not take an identifier of the bench's own node for SYNC
         own_id = codec.TPDO1_ID + self._wire.master_id
@@ -110,18 +113,31 @@ class Cia402Link:
             if node.needs_homing and node.setup is not None:
                 node.homing = Homing.DONE if node.setup.is_homed() else Homing.NEEDED
         self._command_nodes(port, codec.NMT_START)
-        self._guard(port)
-        counts = []
-        for node in self._nodes:
-            counts.append(node.enable())
-            self._guard(port)
+        self._enable(port)
         end_s = self._clock.host_s() + _OLD_FRAMES_WALL_S
         while (left_s := end_s - self._clock.host_s()) > 0.0:  # statuswords from before all were enabled
             port.receive(left_s)
-        for node, position in zip(self._nodes, counts, strict=True):
-            node.reset(position)
+        for node in self._nodes:
+            node.reset(node.target)
         self._receiving = True
         return self._feedback(self._clock.now_s())
+
+    def _enable(self, port: CanPort) -> None:
+        """Enable all drives together; those that are enabled first are held, as their watchdogs require."""
+        setups = [node.setup for node in self._nodes if node.setup is not None]
+        for setup in setups:
+            setup.begin_enabling()
+        waiting, held_s = list(self._nodes), -math.inf
+        end_s = self._clock.host_s() + self._wire.enable_timeout_s
+        while waiting := [node for node in waiting if not node.continue_enabling()]:
+            self._guard(port)
+            now_s = self._clock.host_s()
+            if now_s > end_s and waiting[0].setup is not None:
+                raise waiting[0].setup.not_enabled(self._wire.enable_timeout_s)
+            if now_s > held_s + _HELD_EVERY_WALL_S:
+                held_s = now_s
+                port.send(*(node.setpoint() for node in self._nodes if node not in waiting), (self._sync_id, b""))
+            self._clock.sleep(_POLL_WALL_S)
 
     def facts(self) -> list[str]:
         """Return what the driver uses of the opened drives, a line each."""
@@ -221,7 +237,7 @@ class Cia402Link:
         port.close()
 
     def counters(self) -> dict[str, int]:
-        """Return exchanges, lost (not answered by all drives in time), protocol_errors, late, skipped_bytes.
+        """Return exchanges, lost (not answered by all drives in time), protocol_errors, warnings, late, skipped_bytes.
 
         late: responses received when none was due, including repeated ones; a PDO has no number.
         """
@@ -229,6 +245,7 @@ class Cia402Link:
             "exchanges": self._exchanges,
             "lost": self._lost,
             "protocol_errors": sum(node.protocol_errors for node in self._nodes),
+            "warnings": sum(node.warnings for node in self._nodes),
             "late": sum(node.surplus for node in self._nodes),
             "skipped_bytes": self._port.skipped_bytes if self._port else 0,
         }
@@ -301,4 +318,15 @@ class Cia402Turntable(CyclicAxisGroup):
     def __init__(self, config: RotaryAxes, clock: BenchClock, name: str = "turntable") -> None:
         if config.cia402 is None or config.cia402.channel is None:
             raise BadInput.single("rig", "turntable.cia402.channel", "is missing: the wire to the device")
-        super().__init__(config, clock, Cia402Link(name, config, config.cia402, clock), name)
+        link = Cia402Link(name, config, config.cia402, clock)
+        super().__init__(config, clock, link, name)
+        self._drives = link
+
+    def set_period(self, period_s: float) -> None:
+        """Expect a setpoint every ``period_s``, from the next ``open`` on; the drives interpolate over that time."""
+        least_s = 1.0 / self._config.exchanges_max_hz
+        self._drives.period_s = period_s * math.ceil(least_s / period_s - _ROUNDING)
+
+    def facts(self) -> list[str]:
+        """Return mode, units and watchdog of each opened drive, a line each."""
+        return self._drives.facts()

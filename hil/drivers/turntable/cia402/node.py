@@ -49,8 +49,7 @@ class Node:
         self.setup: DriveSetup | None = None
         self.units = Units(wire.counts_per_turn / math.tau, None)
         self.homing = Homing.DONE if axis.encoder == "absolute" else Homing.NEEDED
-        self.protocol_errors = 0
-        self.surplus = 0
+        self.protocol_errors = self.surplus = self.warnings = 0
         self.reset()
 
     def reset(self, position: int | None = None) -> None:
@@ -98,9 +97,11 @@ class Node:
             setup.prepare_homing(self._wire.homing_method, rate, self._acceleration)
             setup.await_mode(codec.HOMING)
 
-    def enable(self) -> int:
-        """Enable the drive at its present position; return that, counts."""
-        return self._sdo.enable(_STANDSTILL_RADPS, self._wire.enable_timeout_s)
+    def continue_enabling(self) -> bool:
+        """Take the next step towards an enabled drive, at its present position; return whether it is enabled."""
+        is_enabled = self._sdo.continue_enabling(_STANDSTILL_RADPS)
+        self.target, self.offset = self._sdo.position, 0
+        return is_enabled
 
     def begin_homing(self) -> bool:
         """Request homing mode, and start homing once the bits of the statusword are those of that mode.
@@ -295,7 +296,8 @@ class Node:
         """
         state = codec.state_of(self._sdo.statusword())
         if not self._is_bad(state) and not (code and self._sdo.has_error()):
-            self.protocol_errors += 1  # a damaged statusword, or a warning
+            self.warnings += bool(code)
+            self.protocol_errors += not code  # the statusword was damaged
             return
         code = code or (self._sdo.fault_code() if state in codec.FAULT_STATES or self._sdo.has_error() else 0)
         if code or state in codec.FAULT_STATES:

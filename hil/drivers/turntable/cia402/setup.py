@@ -105,6 +105,7 @@ class DriveSetup:
         self.has_offset = self.has_velocity = False
         self.watchdog = ""
         self.beats = False
+        self.position = 0
 
     def identify(self, config: Cia402) -> None:
         """Check that this is a CiA 402 drive, the one that the rig file asks for, and that their units agree."""
@@ -192,21 +193,34 @@ class DriveSetup:
     def _guard(self, watchdog_s: float, heartbeat_s: float, master: int) -> None:
         """Set up the drive's watchdog over the bench, and its heartbeat."""
         time_ms = round(1000.0 * watchdog_s)
-        means = self._eds.watchdogs()
-        self.watchdog = means[0] if means else ""
+        self.watchdog = self._choose_watchdog(time_ms, master)
         beat_ms = round(1000.0 * heartbeat_s) if self.watchdog != codec.LIFE_GUARD else 0
-        self.beats = self.watchdog == codec.LIFE_GUARD or self._eds.can_write(codec.HEARTBEAT_PRODUCER)
-        if self._eds.can_write(codec.HEARTBEAT_PRODUCER):
+        produces = self.read(codec.HEARTBEAT_PRODUCER) is not None and self._eds.can_write(codec.HEARTBEAT_PRODUCER)
+        self.beats = self.watchdog == codec.LIFE_GUARD or produces
+        if produces:
             self.set(codec.HEARTBEAT_PRODUCER, beat_ms, 2)
-        if self.watchdog == codec.SETPOINT_TIME_OUT:
-            self.set(codec.SETPOINT_PDO.parameter, time_ms, 2, codec.PDO_EVENT_TIMER)
-        elif self.watchdog == codec.HEARTBEAT_GUARD:
-            self.set(codec.HEARTBEAT_CONSUMER, master << 16 | time_ms, 4, 1)
-        elif self.watchdog == codec.LIFE_GUARD:
-            self.set(codec.GUARD_TIME, time_ms // codec.GUARDS_PER_LIFE, 2)
-            self.set(codec.LIFE_TIME_FACTOR, codec.GUARDS_PER_LIFE, 1)
         if self._eds.can_write(codec.ABORT_CONNECTION_OPTION):
             self.set(codec.ABORT_CONNECTION_OPTION, codec.ABORT_QUICK_STOPS, 2)
+
+    def _choose_watchdog(self, time_ms: int, master: int) -> str:
+        """Set the first watchdog that the drive accepts, return it. Raises ProtocolError if it refuses all it has."""
+        refused: ProtocolError | None = None
+        for means in self._eds.watchdogs():
+            try:
+                if means == codec.SETPOINT_TIME_OUT:
+                    self.set(codec.SETPOINT_PDO.parameter, time_ms, 2, codec.PDO_EVENT_TIMER)
+                elif means == codec.HEARTBEAT_GUARD:
+                    self.set(codec.HEARTBEAT_CONSUMER, master << 16 | time_ms, 4, 1)
+                else:
+                    self.set(codec.GUARD_TIME, time_ms // codec.GUARDS_PER_LIFE, 2)
+                    self.set(codec.LIFE_TIME_FACTOR, codec.GUARDS_PER_LIFE, 1)
+            except ProtocolError as error:
+                refused = error
+            else:
+                return means
+        if refused is not None:
+            raise refused
+        return ""
 
     def _set_period(self, period_s: float) -> None:
         """Write the time over which the drive interpolates between two setpoints, which is that between them."""
@@ -313,32 +327,39 @@ class DriveSetup:
     def statusword(self) -> int:
         return self.get(codec.STATUSWORD, 2) & 0xFFFF
 
-    def enable(self, standstill_radps: float, timeout_s: float) -> int:
-        """Enable operation at the present position; return that, counts.
-
-        A drive found enabled or in quick stop is stopped first: below ``standstill_radps``.
-        """
-        end_s = self._clock.host_s() + timeout_s
+    def begin_enabling(self) -> None:
+        """Make the present position the setpoint; a drive found enabled is stopped."""
         if self._state() is DriveState.ENABLED:
             self.put(codec.CONTROLWORD, codec.QUICK_STOP, 2)
-        position = self.hold()
-        while (state := self._state()) is not DriveState.ENABLED:
-            if self._clock.host_s() > end_s:
-                title = state.title if state else "an undefined state"
-                text = f"not enabled within {timeout_s:g} s (cia402.enable_timeout_s), is in {title}"
-                raise LinkTimeout(self.axis, text)
-            if state is DriveState.FAULT:  # from before, or the torque was restored only now
-                self._reset_fault()
-                continue
-            moving = state is DriveState.QUICK_STOP_ACTIVE and self._moves(standstill_radps)
-            if state is DriveState.SWITCHED_ON:
-                position = self.hold()
-            if state in codec.TOWARDS_ENABLED and not moving:
-                self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
-            self._clock.sleep(_POLL_WALL_S)
+        self.position = self.hold()
+
+    def continue_enabling(self, standstill_radps: float) -> bool:
+        """Take the next step towards operation enabled, at the present position; return whether it is.
+
+        A drive in quick stop is waited for: below ``standstill_radps``. It is enabled at ``position``, counts.
+        """
+        state = self._state()
+        if state is DriveState.FAULT:  # from before, or the torque was restored only now
+            self._reset_fault()
+            return False
+        if state is DriveState.SWITCHED_ON:
+            self.position = self.hold()
+        moving = state is DriveState.QUICK_STOP_ACTIVE and self._moves(standstill_radps)
+        if state in codec.TOWARDS_ENABLED and not moving:
+            self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
+        if state is not DriveState.ENABLED:
+            return False
         if not self.await_mode(self.stream) and self.displays(self.stream) is False:
             raise self.stays_in_another(self.stream)
-        return position
+        return True
+
+    def not_enabled(self, timeout_s: float) -> LinkTimeout:
+        """Return the error of a drive that is not enabled in time."""
+        state = self._state()
+        title = state.title if state else "an undefined state"
+        return LinkTimeout(
+            self.axis, f"not enabled within {timeout_s:g} s (cia402.enable_timeout_s), is in {title}"
+        )
 
     def _moves(self, standstill_radps: float) -> bool:
         before = self.get(codec.POSITION_ACTUAL, 4)
@@ -362,9 +383,8 @@ class DriveSetup:
 
     def fault_code(self) -> int:
         """Return the drive's newest error code, which may be one of the past; 0 if it has none."""
-        if self._eds.has(codec.ERROR_CODE):
-            return self.get(codec.ERROR_CODE, 2) & 0xFFFF
-        return (self.read(codec.ERROR_FIELD, 1) or 0) & 0xFFFF
+        code = self.read(codec.ERROR_CODE)
+        return (self.read(codec.ERROR_FIELD, 1) or 0 if code is None else code) & 0xFFFF
 
     def has_error(self) -> bool:
         """Return whether the drive has an error now, by its error register."""
@@ -455,7 +475,10 @@ class DriveSetup:
                 return transfer()
             except SdoAbortedError as error:
                 what = name if value is None else f"{name} = {value}"
-                raise ProtocolError(self.axis, f"refuses object {what}: {error}") from error
+                text = f"refuses object {what}: {error}"
+                if error.code in _ABSENT:
+                    text = f"object {name} of the data sheet does not exist in the drive: enter its own as cia402.eds_file"
+                raise ProtocolError(self.axis, text) from error
             except SdoCommunicationError as error:
                 if tries_left:
                     continue  # a frame was lost or damaged
