@@ -254,7 +254,7 @@ class Cia402(ConfigModel):
     the positions, and nothing that needs the unit is sent."""
     bench_node_id: NodeId | None = None
     """Node id of the bench, of its heartbeat and SYNC; default: 128 less the smallest of `node_ids`."""
-    enable_timeout_s: Annotated[float, Field(ge=0.5, le=120.0)] = 10.0
+    enable_timeout_s: Annotated[float, Field(ge=0.5, le=25.0)] = 10.0
     """Longest time from reset to operation enabled, with the search for the commutation angle."""
     eds_file: str | None = None
     """EDS or DCF of the drives; default: the emulated drive's."""

@@ -147,7 +147,7 @@ class RigDrivers:
 
 
 def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> RigDrivers:
-    """Return the drivers of all axes and of the vision unit. period_s: of the setpoints; None: they come at any time."""
+    """Return the drivers of all axes and of the vision unit. period_s: of the setpoints; None: at any time."""
     axes = {name: make_axes(table, clock, name) for name, table in rig.axis_groups.items()}
     for group in axes.values():
         if period_s is not None and isinstance(group, Streams):

@@ -17,7 +17,7 @@ from hil.core.clock import BenchClock
 from hil.drivers.checksums import crc16_ccitt
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort, Frame, SerialFrames, encode_serial
-from hil.drivers.turntable.cia402.units import Units, velocity_per_radps
+from hil.drivers.turntable.cia402.units import Units
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
@@ -145,8 +145,7 @@ class Cia402Emulator:
         for index, number in enumerate(config.axis_numbers):
             node_id = config.cia402.node_ids[number]
             objects = ObjectDictionary(config.cia402, node_id, round(1000.0 * WATCHDOG_S))
-            velocity = velocity_per_radps(config.cia402, objects.velocity_unit)
-            units = Units(config.cia402.counts_per_turn / math.tau, velocity)
+            units = Units(config.cia402.counts_per_turn / math.tau, objects.velocity)
             axis = DriveAxis(self.gimbals, index, units, clock)
             self.drives.append(EmulatedCia402Drive(node_id, axis, objects))
         self.foreign_nodes = [ForeignNode(node_id) for node_id in config.cia402.emulated.foreign_nodes]
@@ -169,12 +168,16 @@ class Cia402Emulator:
         while not stop.is_set():
             received = station.receive(stepped_s + step_s - self._clock.now_s())
             stepped_s = self._clock.now_s()
-            self.gimbals.advance(stepped_s)
-            frames = self._housekeep(stepped_s)
-            for frame in received:
-                frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, stepped_s)]
-                frames += [answer for node in self.foreign_nodes for answer in node.on_frame(*frame)]
-            station.send(frames)
+            station.send(self.answers(received, stepped_s))
+
+    def answers(self, received: list[Frame], now_s: float) -> list[Frame]:
+        """Advance to ``now_s`` and take the received frames; return those of the drives."""
+        self.gimbals.advance(now_s)
+        frames = self._housekeep(now_s)
+        for frame in received:
+            frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, now_s)]
+            frames += [answer for node in self.foreign_nodes for answer in node.on_frame(*frame)]
+        return frames
 
     def close(self) -> None:
         """Leave the bus."""

@@ -11,8 +11,8 @@ from typing import Final
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import Frame
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.parts.emulation.cia402_objects import MappedPdo, ObjectDictionary
 from hil.parts.emulation.cia402_modes import DriveAxis, DriveMotion
+from hil.parts.emulation.cia402_objects import MappedPdo, ObjectDictionary
 
 _REMOTE = 0x0200  # statusword: the controlword is executed
 _VOLTAGE = 0x0010

@@ -15,6 +15,7 @@ from hil.config.rig import Cia402
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.eds import SHIPPED
 from hil.drivers.turntable.cia402.eds_file import Variable, read_data_sheet
+from hil.drivers.turntable.cia402.units import velocity_per_radps
 
 _NO_SUCH_OBJECT = 0x06020000
 _NO_SUCH_SUBINDEX = 0x06090011
@@ -96,7 +97,7 @@ class ObjectDictionary:
             self.entries[codec.DEVICE_TYPE, 0] = Object(4, _SERVO_DRIVE)
         self._scale(config)
         unit = self.value(codec.VELOCITY_UNIT) if self.habits.velocity_unit is None else self.habits.velocity_unit
-        self.velocity_unit = unit or _INCREMENTS_PER_S
+        self.velocity = velocity_per_radps(config, unit if _is_of_an_angle(unit) else _INCREMENTS_PER_S)
         if not self.habits.declares_velocity:
             self.entries.pop((codec.VELOCITY_UNIT, 0), None)
         elif self.habits.velocity_unit is not None:
@@ -242,6 +243,10 @@ class _SdoServer(SdoServer):
     def block_upload(self, data: bytes) -> None:
         _, self._index, self._subindex = struct.unpack_from("<BHB", data)
         raise SdoAbortedError(_UNKNOWN_COMMAND)
+
+
+def _is_of_an_angle(unit: int) -> bool:
+    return unit >> 16 & 0xFF in (0x10, 0x41, 0x42, 0x43, 0xB4, 0xB5)
 
 
 def _object_of(variable: Variable, node_id: int) -> Object:

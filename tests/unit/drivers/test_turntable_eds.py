@@ -10,8 +10,8 @@ from hil.core.clock import WallClock
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
-from hil.parts.emulation.cia402_objects import ObjectDictionary
 from hil.errors import BadInput
+from hil.parts.emulation.cia402_objects import ObjectDictionary
 
 
 def altered(tmp_path, *changes):

@@ -23,8 +23,8 @@ from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
-from hil.errors import DeviceError, DriveFault
 from hil.drivers.turntable.cia402.units import Units
+from hil.errors import DeviceError, DriveFault
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
 from hil.parts.emulation.cia402_objects import ObjectDictionary
 

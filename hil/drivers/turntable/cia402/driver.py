@@ -27,7 +27,7 @@ _RESPONSE_S: Final = 0.04  # bench time within which the responses to one SYNC a
 _WATCHDOG_S: Final = 0.5  # drives make a quick stop without setpoints for longer
 _ROUNDING: Final = 1e-6
 _HELD_EVERY_WALL_S: Final = 0.1
-_POLL_WALL_S: Final = 0.002
+_POLL_WALL_S: Final = 0.005
 _DEFERRED_MAX: Final = 100
 _OLD_FRAMES_WALL_S: Final = 0.005
 _CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, in case a frame was lost
@@ -103,8 +103,8 @@ class Cia402Link:
         setups = [node.setup for node in self._nodes if node.setup is not None]
         # other nodes of the bus do not take an identifier of the bench's own node for SYNC
         own_id = codec.TPDO1_ID + self._wire.master_id
-        self._sync_id = own_id if all([setup.set_sync(own_id) for setup in setups]) else codec.SYNC_ID
-        if self._sync_id != own_id and not all([setup.set_sync(codec.SYNC_ID) for setup in setups]):
+        self._sync_id = own_id if all(setup.set_sync(own_id) for setup in setups) else codec.SYNC_ID
+        if self._sync_id != own_id and not all(setup.set_sync(codec.SYNC_ID) for setup in setups):
             raise ProtocolError(self.device, f"object 0x1005: the drives do not take 0x{codec.SYNC_ID:X} as SYNC")
         self.has_profiles = self._eds.has_profiles and all(node.units.has_rates for node in self._nodes)
         if any(node.needs_homing for node in self._nodes):
@@ -169,9 +169,7 @@ class Cia402Link:
         self._run_slow_step(port)
         self._guard(port)
         # in turn: few frames at once, as the queue of an interface is short
-        controls = [
-            node.control() for k, node in enumerate(self._nodes) if (self._exchanges + k) % _CONTROL_EVERY == 0
-        ]
+        controls = [node.control() for k, node in enumerate(self._nodes) if (self._exchanges + k) % _CONTROL_EVERY == 0]
         self._exchanges += 1
         if self._passes_setpoints():
             for node, angle, speed in zip(self._nodes, position, rate, strict=True):

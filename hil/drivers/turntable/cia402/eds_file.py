@@ -122,8 +122,10 @@ def _sections(text: str, notes: list[str]) -> dict[tuple[int, str, int], tuple[s
         if line.startswith("["):
             match = _SECTION.match(line)
             key = (int(match[1], 16), (match[2] or "").lower(), int(match[3] or "0", 16)) if match else None
-            name, options = (line[: line.find("]") + 1], {}) if key is None else sections.setdefault(
-                key, (line[: line.find("]") + 1], {})
+            name, options = (
+                (line[: line.find("]") + 1], {})
+                if key is None
+                else sections.setdefault(key, (line[: line.find("]") + 1], {}))
             )
         elif line and not line.startswith(_COMMENTS):
             option, separator, value = line.partition("=")

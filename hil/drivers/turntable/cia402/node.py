@@ -150,7 +150,7 @@ class Node:
         return True
 
     def _has_mode(self, mode: int, settling_s: float = 0.0) -> bool:
-        """Request ``mode``; return whether it has been displayed for ``settling_s``. Raises ProtocolError in the end."""
+        """Request ``mode``; return whether it has been displayed for ``settling_s``. Raises ProtocolError."""
         now_s = self._clock.host_s()
         if self._mode_since_s is None:
             self._sdo.request_mode(mode)

@@ -28,7 +28,7 @@ REPLY_WALL_S = 0.3
 LAG_WALL_S = 0.5
 """Time that a drive may take to display a new mode, and then to show its bits in the statusword."""
 _RESET_WALL_S = 0.3
-_POLL_WALL_S = 0.002
+_POLL_WALL_S = 0.005
 _STANDSTILL_WALL_S = 0.05
 _SDO_BYTES = 8
 _NOT_MAPPABLE = 0x06040041
@@ -357,9 +357,7 @@ class DriveSetup:
         """Return the error of a drive that is not enabled in time."""
         state = self._state()
         title = state.title if state else "an undefined state"
-        return LinkTimeout(
-            self.axis, f"not enabled within {timeout_s:g} s (cia402.enable_timeout_s), is in {title}"
-        )
+        return LinkTimeout(self.axis, f"not enabled within {timeout_s:g} s (cia402.enable_timeout_s), is in {title}")
 
     def _moves(self, standstill_radps: float) -> bool:
         before = self.get(codec.POSITION_ACTUAL, 4)
@@ -477,7 +475,9 @@ class DriveSetup:
                 what = name if value is None else f"{name} = {value}"
                 text = f"refuses object {what}: {error}"
                 if error.code in _ABSENT:
-                    text = f"object {name} of the data sheet does not exist in the drive: enter its own as cia402.eds_file"
+                    text = (
+                        f"object {name} of the data sheet does not exist in the drive: enter its own as cia402.eds_file"
+                    )
                 raise ProtocolError(self.axis, text) from error
             except SdoCommunicationError as error:
                 if tries_left:

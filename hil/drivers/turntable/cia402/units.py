@@ -128,7 +128,8 @@ def velocity_per_radps(config: Cia402, unit: int) -> float | None:
         if config.velocity_units_per_degps is not None:
             return None
         raise ValueError(
-            f"0x60A9 = 0x{unit & 0xFFFF_FFFF:08X} is no known unit of a rotary axis: set cia402.velocity_units_per_degps"
+            f"0x60A9 = 0x{unit & 0xFFFF_FFFF:08X} is no known unit of a rotary axis: "
+            "set cia402.velocity_units_per_degps"
         )
     if numerator == _INCREMENT:
         return config.counts_per_turn / math.tau * _TIMES_S[denominator] / factor
