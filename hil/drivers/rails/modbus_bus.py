@@ -264,7 +264,11 @@ class ModbusBus:
                 raise LinkLost(name, f"{self.label} closed the connection") from error
             if self._matcher.damaged:
                 raise ProtocolError(name, f"answer damaged on the way, {self._matcher.damaged}") from error
-            raise LinkTimeout(name, "no answer") from error
+            stranger = self._matcher.stranger
+            hint = (
+                "" if stranger is None else f" of unit {expected.device_id}; unit {stranger} has answered: correct it"
+            )
+            raise LinkTimeout(name, f"no answer{hint}") from error
         except ConnectionException as error:
             raise LinkLost(name, f"{self.label} closed the connection") from error
         except ModbusException as error:
