@@ -111,6 +111,14 @@ class CountsExchanges(Protocol):
 
 
 @runtime_checkable
+class CountsPackets(Protocol):
+    """A device that counts its exchanges and what went wrong in them."""
+
+    def counters(self) -> dict[str, int]:
+        """Return the counts since ``open`` by name; ``exchanges`` is one of them."""
+
+
+@runtime_checkable
 class CountsLosses(Protocol):
     """A device that counts lost packets."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from hil.cli.main import execute
 from hil.config.load import load_rig
 from hil.config.rig import Cia402
 from hil.core.clock import WallClock
@@ -171,3 +172,16 @@ def test_driver_reads_the_eds_that_the_rig_file_names(tmp_path):
     rig = load_rig("emulated", ["rig.turntable.cia402.channel=/nowhere", f"rig.turntable.cia402.eds_file={missing}"])
     with pytest.raises(BadInput, match=r"none\.eds: cannot be read"):
         Cia402Turntable(rig.value.turntable, WallClock())
+
+
+def test_data_sheet_alone_shows_what_the_driver_will_use(capsys) -> None:
+    assert execute(["preflight", "--eds", str(SHIPPED)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for words in ("cyclic synchronous position", "0x60A9 = 0x00B50300", "0x60C2", "setpoint time-out", "by the drive"):
+        assert words in printed
+
+
+def test_data_sheet_of_a_drive_that_cannot_be_used_is_one_line(tmp_path, capsys) -> None:
+    path = altered(tmp_path, (section("6502"), "[6502]\nParameterName=x\nDataType=7\nDefaultValue=0x25\n"))
+    assert execute(["preflight", "--eds", str(path)]) == 2
+    assert "[6502] DefaultValue: 0x25 has neither" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import can
 
 from hil.core.clock import BenchClock
-from hil.drivers.serial_port import open_serial, wait_readable
+from hil.drivers.serial_port import open_serial, set_low_latency, wait_readable
 from hil.errors import LinkLost, ProtocolError
 
 Frame = tuple[int, bytes]
@@ -144,6 +144,7 @@ class CanPort:
         except (can.CanError, OSError, TypeError, ValueError) as error:
             raise LinkLost(device, f"cannot open CAN {config.interface} {config.channel}: {error}") from error
         if self._bus is not None:
+            set_low_latency(getattr(self._bus, "serialPortOrig", None))  # of slcan
             try:
                 self._descriptor = self._bus.fileno()
             except NotImplementedError:

@@ -77,6 +77,7 @@ PROFILE_DECELERATION: Final = 0x6084
 HOMING_METHOD: Final = 0x6098
 HOMING_SPEEDS: Final = 0x6099  # 1 towards the switch, 2 towards its edge
 HOMING_ACCELERATION: Final = 0x609A
+HOMING_OBJECTS: Final = ((HOMING_METHOD, 0), (HOMING_SPEEDS, 1), (HOMING_SPEEDS, 2))
 ENCODER_RESOLUTION: Final = 0x608F  # 1 increments per 2 revolutions of the motor
 GEAR_RATIO: Final = 0x6091  # 1 revolutions of the motor per 2 of the shaft
 FEED_CONSTANT: Final = 0x6092  # 1 position units per 2 revolutions of the shaft

@@ -32,7 +32,6 @@ _BITS: Final = {
 }  # fmt: skip
 """Size of the profile's objects that the driver uses; of PDO parameters and mappings see ``_bits``."""
 
-_HOMING: Final = ((codec.HOMING_METHOD, 0), (codec.HOMING_SPEEDS, 1), (codec.HOMING_SPEEDS, 2))
 _PROFILE: Final = ((codec.PROFILE_VELOCITY, 0), (codec.PROFILE_ACCELERATION, 0))
 _STREAMS: Final = {
     codec.CYCLIC_SYNCHRONOUS_POSITION: (codec.TARGET_POSITION, 0),
@@ -156,7 +155,7 @@ class Eds:
             problems += [self._problem(pdo.parameter, 1, written=True), self._problem(pdo.parameter, 2)]
             problems += [self._problem(pdo.mapping_index, sub) for sub in (0, 1)]
         if homing:
-            problems += [self._problem(*key, written=True) for key in _HOMING]
+            problems += [self._problem(*key, written=True) for key in codec.HOMING_OBJECTS]
         return [problem for problem in problems if problem]
 
     def _no_stream(self) -> str:

@@ -103,7 +103,7 @@ class DriveSetup:
         self.units = Units(1.0, None)
         self.stream = codec.CYCLIC_SYNCHRONOUS_POSITION
         self.has_offset = self.has_velocity = False
-        self.watchdog = ""
+        self.watchdog, self.watchdog_s = "", 0.0
         self.beats = False
         self.position = 0
 
@@ -192,7 +192,7 @@ class DriveSetup:
 
     def _guard(self, watchdog_s: float, heartbeat_s: float, master: int) -> None:
         """Set up the drive's watchdog over the bench, and its heartbeat."""
-        time_ms = round(1000.0 * watchdog_s)
+        time_ms, self.watchdog_s = round(1000.0 * watchdog_s), watchdog_s
         self.watchdog = self._choose_watchdog(time_ms, master)
         beat_ms = round(1000.0 * heartbeat_s) if self.watchdog != codec.LIFE_GUARD else 0
         produces = self.read(codec.HEARTBEAT_PRODUCER) is not None and self._eds.can_write(codec.HEARTBEAT_PRODUCER)

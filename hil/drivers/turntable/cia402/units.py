@@ -64,7 +64,7 @@ def units_of(config: Cia402, read: ReadObject) -> Units:
 
     Raises ValueError, one line, if they contradict the rig file, or have a unit that is not known.
     """
-    shaft, source = _counts_per_shaft_turn(read)
+    shaft, source = counts_per_shaft_turn(read)
     expected = config.counts_per_turn / config.gear_ratio
     if shaft is not None and not math.isclose(shaft, expected, rel_tol=_TOLERANCE):
         given = f"counts_per_turn = {config.counts_per_turn}" + (
@@ -99,7 +99,7 @@ def _ratio(read: ReadObject, index: int) -> float | None:
     return numerator / (divisor or 1) if numerator else None
 
 
-def _counts_per_shaft_turn(read: ReadObject) -> tuple[float | None, str]:
+def counts_per_shaft_turn(read: ReadObject) -> tuple[float | None, str]:
     """Return position units per turn of the drive's shaft, and the objects that declare them.
 
     Objects that are all 1 scale nothing: the drive counts increments, and does not say how many a turn has.
