@@ -297,8 +297,10 @@ class SerialLine(ConfigModel):
 
 
 class AsciiTurntableLine(SerialLine):
-    """Serial port and command set of the turntable controller."""
+    """Serial port, or address on Ethernet, and command set of the turntable controller."""
 
+    port: str | None = None
+    """Serial port, or `tcp://HOST:PORT`."""
     protocol: str = "hil-ascii"
     """Command set: `hil-ascii`, `acu` or the path of a protocol file."""
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)
