@@ -117,19 +117,22 @@ class GenicamCamera:
 
     def _set_gain(self, gain_db: float) -> None:
         """Set the gain by a feature in dB, with the automatic one off, and read it back."""
-        library, camera = self._library, self._camera
-        device = library.camera_get_device(camera)
+        library, unit, feature = self._library, None, b""
+        device = library.camera_get_device(self._camera)
         with contextlib.suppress(AravisError):  # cameras without an automatic gain
             library.device_set_features_from_string(device, b"GainAuto=Off")
-        node = library.device_get_feature(device, b"Gain") or library.device_get_feature(device, b"GainAbs")
-        is_number = bool(node) and library.is_a(node, library.gc_float_get_type())
-        unit = (library.gc_float_get_unit(node) or b"").decode(errors="replace") if is_number else None
+        for name in (b"GainAbs", b"Gain"):
+            node = library.device_get_feature(device, name)
+            if node and library.is_a(node, library.gc_float_get_type()):
+                feature, unit = name, (library.gc_float_get_unit(node) or b"").decode(errors="replace")
         check_gain_unit(self._name, gain_db, unit)
         low, high = ctypes.c_double(), ctypes.c_double()
-        self._do("gain", library.camera_get_gain_bounds, camera, ctypes.byref(low), ctypes.byref(high))
+        limits = ctypes.byref(low), ctypes.byref(high)
+        self._do("gain", library.device_get_float_feature_bounds, device, feature, *limits)
         check_gain_limits(self._name, gain_db, (low.value, high.value))
-        self._do("gain", library.camera_set_gain, camera, gain_db)
-        check_gain_set(self._name, gain_db, self._do("gain", library.camera_get_gain, camera))
+        self._do("gain", library.device_set_float_feature_value, device, feature, gain_db)
+        actual_db = self._do("gain", library.device_get_float_feature_value, device, feature)
+        check_gain_set(self._name, gain_db, actual_db)
 
     def _check_offered(self, what: str, requested: str, offered: Callable[..., Any]) -> None:
         """Raise DeviceError if the camera does not have ``requested``; a camera that does not list them is tried."""
