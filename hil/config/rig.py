@@ -884,6 +884,32 @@ class Rig(FileTable):
                     )
         return self
 
+    @model_validator(mode="after")
+    def _wires_have_one_user(self) -> Self:
+        """A serial port has one driver; groups of CiA 402 drives may share a bus, with node ids of their own."""
+        users: dict[str, str] = {}
+        nodes: dict[tuple[object, ...], str] = {}
+        for key, table in self.device_tables().items():
+            can = getattr(table, "cia402", None) if table.driver == "cia402" else None
+            for wire in table.wires(key):
+                name = f"{wire.kind} {wire.address}"
+                if wire.kind != "serial" or wire.address is None:
+                    continue
+                if name in users:
+                    raise ValueError(f"{wire.key}: {wire.address} is also {users[name]}, allowed: a port of its own")
+                users[name] = wire.key
+            if not isinstance(can, Cia402) or can.channel is None or not isinstance(table, AxisGroupTable):
+                continue
+            for node_id in (*(can.node_ids[axis] for axis in table.axis_numbers), can.master_id):
+                bus = (can.interface, can.channel, node_id)
+                if bus in nodes:
+                    raise ValueError(
+                        f"{key}.cia402: node id {node_id} on {can.channel} is also one of {nodes[bus]}, allowed: others "
+                        "(node_ids, bench_node_id)"
+                    )
+                nodes[bus] = key
+        return self
+
     @property
     def holding_brakes(self) -> list[Brake]:
         """Brakes of all gravity-loaded axes."""
