@@ -6,10 +6,8 @@ Each command is declared by its part, see ``hil.core.part``; its module is impor
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
-import resource
 import signal
 import sys
 import traceback
@@ -24,7 +22,7 @@ from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
-from hil.core.surroundings import leave_process, remove_temporary_folders, settle_matplotlib
+from hil.core.surroundings import host_limit, leave_process, remove_temporary_folders, settle_matplotlib
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -137,25 +135,11 @@ def execute(arguments: Sequence[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
             text = f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'"
             return _fail(f"hil {arguments[0]}: {text}", BAD_INPUT)
-        if limit := _host_limit(error):
+        if limit := host_limit(error):
             return _fail(limit, BAD_INPUT)
         traceback.print_exc()
         return _fail("internal error: please report it with the traceback above", DEFECT)
     return result if isinstance(result, int) else PASSED
-
-
-def _host_limit(error: BaseException | None) -> str:
-    """Return which limit of this host ``error`` or its cause met, and what to do; "" for any other error."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-            most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-            return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
-        if isinstance(error, FileNotFoundError) and error.filename is None:
-            return "host: the working directory has been removed: change to another one"
-        if "can't start new thread" in str(error) or (isinstance(error, OSError) and error.errno == errno.EAGAIN):
-            return "host: no further thread or process can be started: raise the limit, ulimit -u"
-        error = error.__cause__ or error.__context__
-    return ""
 
 
 def _fail(text: str, code: int) -> int:

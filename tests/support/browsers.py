@@ -78,6 +78,22 @@ class ChromiumPage:
         self._devtools.send("Input.dispatchKeyEvent", {"type": "keyDown", **event, **text})
         self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", **event})
 
+    def hold(self, key: str, code: str, times: int = 30) -> None:
+        """Repeat a key that was pressed before, for as long as a question needs and longer, and release it."""
+        event = {"key": key, "code": code, "windowsVirtualKeyCode": 13 if key == "Enter" else ord(code[-1])}
+        text = {"text": "\r" if key == "Enter" else key}
+        for _ in range(times):
+            down = {"type": "keyDown", "autoRepeat": True, **event, **text}
+            self._devtools.send("Input.dispatchKeyEvent", down)
+            time.sleep(0.03)
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+    def second_finger(self, x: float, y: float, at_x: float, at_y: float) -> None:
+        """Tap at the second point while a finger rests on the first."""
+        first, second = {"x": x, "y": y, "id": 1}, {"x": at_x, "y": at_y, "id": 2}
+        for kind, points in (("Start", [first]), ("Start", [first, second]), ("End", [first]), ("End", [])):
+            self._devtools.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
     def point(self, kind: str, x: float, y: float) -> None:
         (self.page.mouse.click if kind == "mouse" else self.page.touchscreen.tap)(x, y)
 

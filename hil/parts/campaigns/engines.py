@@ -36,6 +36,8 @@ _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or ru
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
 _TRIES: Final = 3  # tries of a batch whose worker dies
 _DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
+_DEAD: Final = (BrokenProcessPool, EOFError, ConnectionError)
+"""Raised when a worker, or the process that starts them, has ended."""
 _CONNECT_S: Final = 10.0
 _ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
 _SILENT_S: Final = 20.0
@@ -102,7 +104,7 @@ class LocalEngine:
                         del under_way[batch]
                         yield batch[0], whole
             completed = True
-        except BrokenProcessPool:
+        except _DEAD:
             return sorted(under_way)
         finally:
             if not completed:  # also if the caller closes it early; work under way is not waited for
@@ -159,7 +161,7 @@ class _Isolated:
                 rows = self._pool.submit(run_batch, self._spec, first, count).result()
                 self._dead = 0
                 return rows
-            except BrokenProcessPool:
+            except _DEAD:
                 self._pool.shutdown()
                 self._pool = None
         if count > 1:

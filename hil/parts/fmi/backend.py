@@ -22,7 +22,6 @@ from hil.core.gnc_records import (
     NAVIGATION_INPUT_FIELDS,
     OUTPUT_FIELDS,
 )
-from hil.core.own_code import require_trust
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance
@@ -84,7 +83,6 @@ class FmuBackend:
         whole: GncConfig | None = None,
         own_process: Path | None = None,
     ) -> None:
-        require_trust(path, refuse)
         self.name = Path(path).name
         self.layout, self._part, self._refuse = _LAYOUTS[part], part, refuse
         self._parameters: Mapping[str, Any] = whole.fmu_parameters if whole is not None else {}

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from hil.core.own_code import require_trust
 from hil.core.surroundings import temporary_folder, temporary_folder_in
 from hil.parts.fmi.archive import Archive, FmuError
 from hil.parts.fmi.description import FmiVariable, ModelDescription, parse
@@ -81,6 +82,7 @@ class Fmu:
     """
 
     def __init__(self, path: Path, within: Path | None = None) -> None:
+        require_trust(str(path), FmuError)
         with Archive(path) as archive:
             self.description: ModelDescription = parse(archive.description())
             version = self.description.version

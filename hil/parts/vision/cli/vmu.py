@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -32,6 +31,7 @@ from hil.cli.options import (
 )
 from hil.cli.output import deliver, file_path_problem, say
 from hil.cli.progress import ProgressBar
+from hil.core.files import replaced
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -255,12 +255,10 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
     """Write ``rows`` to ``path``, completely or not at all."""
-    partial = Path(f"{path}.part")
-    with partial.open("w", newline="", encoding="utf-8") as file:
+    with replaced(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(partial, path)
 
 
 def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
