@@ -85,8 +85,9 @@ def preflight(
 
 def _describe(path: str) -> int:
     """Show what the driver uses of a data sheet."""
-    from hil.drivers.turntable.cia402.describe import describe  # imports python-can
+    from hil.core.part import provided
 
+    describe = provided("rig.turntable.driver=cia402: description", path)
     table = Table(title=f"CiA 402 drive of {path}")
     for heading in ("what", "found", "what to do"):
         table.add_column(heading, overflow="fold")

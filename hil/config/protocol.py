@@ -245,7 +245,7 @@ class Protocol(ConfigModel):
     status: AxisStatusBits | None = None
     """Bits of the status; omitted with `status_words`."""
     status_words: dict[str, tuple[StatusName, ...]] = Field(default_factory=dict)
-    """Meaning of each word, of a controller that reports its status in words: names of keys of `[status]`."""
+    """Meaning of each text, of a controller that reports its status as text: names of keys of `[status]`."""
     faults: FaultNames = FaultNames()
     emulator: EmulatorWords = EmulatorWords()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -248,7 +249,7 @@ class Cia402(ConfigModel):
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     """Position units of the drive per revolution of the axis."""
     gear_ratio: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
-    """Revolutions of the drive's shaft per revolution of the axis, by a gear that the drive does not know."""
+    """Revolutions of the drive's shaft per revolution of the axis, by a gear outside the drive."""
     velocity_units_per_degps: Positive | None = None
     """Velocity units of the drive per deg/s of the axis; default: by object 0x60A9. With neither, rates are those of
     the positions, and nothing that needs the unit is sent."""
@@ -893,7 +894,7 @@ class Rig(FileTable):
             can = getattr(table, "cia402", None) if table.driver == "cia402" else None
             for wire in table.wires(key):
                 name = f"{wire.kind} {wire.address}"
-                if wire.kind != "serial" or wire.address is None:
+                if wire.kind != "serial" or wire.address in (None, os.devnull):  # the null device connects nothing
                     continue
                 if name in users:
                     raise ValueError(f"{wire.key}: {wire.address} is also {users[name]}, allowed: a port of its own")
@@ -904,8 +905,8 @@ class Rig(FileTable):
                 bus = (can.interface, can.channel, node_id)
                 if bus in nodes:
                     raise ValueError(
-                        f"{key}.cia402: node id {node_id} on {can.channel} is also one of {nodes[bus]}, allowed: others "
-                        "(node_ids, bench_node_id)"
+                        f"{key}.cia402: node id {node_id} on {can.channel} is also one of {nodes[bus]}, "
+                        "allowed: others (node_ids, bench_node_id)"
                     )
                 nodes[bus] = key
         return self

@@ -76,7 +76,7 @@ class LimitsSetpoints(Protocol):
 
 @runtime_checkable
 class Streams(Protocol):
-    """An axis group whose drives interpolate between setpoints, and must know the time between them."""
+    """An axis group whose drives interpolate between setpoints, over the time between them."""
 
     def set_period(self, period_s: float) -> None:
         """Expect a setpoint every ``period_s``, from the next ``open`` on."""

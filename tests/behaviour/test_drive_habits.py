@@ -127,7 +127,7 @@ def drawn(dice: random.Random) -> dict:
         "foreign_nodes": (20,) if dice.random() < 0.3 else (),
     }
     if 0x1005 in choices["aborts"]:
-        choices["foreign_nodes"] = ()  # the drives have no SYNC of their own: said by ``facts``
+        choices["foreign_nodes"] = ()  # the drives have no SYNC of their own: see ``facts``
     return choices
 
 
@@ -179,7 +179,7 @@ def test_drive_that_was_never_homed_is_never_reported_as_homed(count: int) -> No
 def test_stray_statusword_is_not_confirmed_by_an_error_of_the_past() -> None:
     with served("cia402", cia402={"emulated": DriveHabits(keeps_error=True)}) as (emulator, device, clock):
         assert emulator.drives[0].objects.value(codec.ERROR_CODE) == 0x7305
-        emulator._station.send([(codec.TPDO2_ID + 1, bytes.fromhex("18 02 00 00 00 00"))])  # fault, so it says
+        emulator._station.send([(codec.TPDO2_ID + 1, bytes.fromhex("18 02 00 00 00 00"))])  # fault, apparently
         clock.sleep(0.1)
         device.read(clock.now_s())
         assert device.counters()["protocol_errors"] == 1
@@ -214,7 +214,7 @@ def test_silent_bench_is_noticed_by_the_watchdog_that_the_drive_has(missing, tmp
 
 
 @pytest.mark.parametrize("seconds", [2.0, pytest.param(60.0, marks=[pytest.mark.slow, pytest.mark.timeout(600)])])
-def test_two_groups_and_foreign_nodes_share_a_bus_with_a_short_queue(monkeypatch, seconds: float) -> None:
+def test_two_groups_and_nodes_of_others_share_a_bus_with_a_short_queue(monkeypatch, seconds: float) -> None:
     clock = BusClock()
     bus = CanBus(clock, 500_000)
     monkeypatch.setattr(can, "Bus", bus.open)

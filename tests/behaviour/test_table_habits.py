@@ -1,4 +1,4 @@
-"""ASCII tables that differ: formats of numbers, status in words, silent commands, echo, TCP, in lock-step."""
+"""ASCII tables that differ: formats of numbers, status as text, silent commands, echo, TCP, in lock-step."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_drawn_numbers_and_paddings_are_read(tmp_path) -> None:
         assert reply["position", 0] == pytest.approx(np.radians(float(text) / 1000.0), rel=1e-12, abs=1e-30)
 
 
-def test_fault_in_words_is_a_drive_fault(tmp_path) -> None:
+def test_fault_as_text_is_a_drive_fault(tmp_path) -> None:
     with served("acu", protocol=in_words(tmp_path)) as (emulator, device, clock):
         emulator.faults.on("drive_fault", "pitch", 3.0)
         with pytest.raises(DriveFault, match=r"turntable\.pitch: encoder"):

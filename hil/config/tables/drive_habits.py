@@ -31,7 +31,7 @@ class DriveHabits(ConfigModel):
     missing: tuple[ObjectIndex, ...] = ()
     """Objects of the data sheet that the drive does not have."""
     aborts: tuple[ObjectIndex, ...] = ()
-    """Objects that cannot be written, whatever the data sheet says."""
+    """Objects that cannot be written, also if the data sheet allows it."""
     supported_modes: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] | None = None
     """Value of 0x6502; default: that of the data sheet, else all that its objects allow."""
     keeps_error: bool = False

@@ -86,7 +86,7 @@ def test_optional_objects_may_be_missing(tmp_path):
     assert not eds.has_profiles
 
 
-def test_object_that_is_missing_beside_others_is_refused_alone(tmp_path):
+def test_modes_without_setpoints_are_the_only_line(tmp_path):
     path = altered(tmp_path, (section("6502"), "[6502]\nParameterName=x\nDataType=7\nDefaultValue=0x25\n"))
     with pytest.raises(BadInput, match=r"\[6502\] DefaultValue: 0x25 has neither bit 7") as caught:
         Eds(path)

@@ -66,7 +66,7 @@ class FieldFormat:
     def write(self, value: Value) -> str:
         if self._is_number:
             return f"{float(value) / self.scale:.{self._decimals}f}"
-        if self._words:  # the one that says most of it, and nothing else
+        if self._words:  # the one with most of the bits, and no other
             return max((word for word in self._words if not self._words[word] & ~int(value)), key=self._bits_of)
         if self._whole is not None:
             form = "X" if self._whole.base == 16 else "d"

@@ -217,7 +217,7 @@ class CanPort:
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """Return whether an interface has no room for a frame: Linux reports the queue, and not its socket, as full."""
+    """Return whether the queue of an interface is full: Linux reports that as an error, not by its socket."""
     while error is not None:
         number = getattr(error, "errno", None) or getattr(error, "error_code", None)
         if number in (errno.ENOBUFS, errno.EAGAIN):

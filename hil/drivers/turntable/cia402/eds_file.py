@@ -1,6 +1,6 @@
 """Electronic data sheets and device configuration files (CiA 306), read as makers write them.
 
-What a file says of an object is read from the sections of that object alone. Lists of objects, counts of sub-indices
+The description of an object is read from the sections of that object alone. Lists of objects, counts of sub-indices
 and all other sections are not used, so that a slip in them refuses no file. A value that cannot be read is unknown, and
 a note; the user of the variable decides whether it matters.
 """

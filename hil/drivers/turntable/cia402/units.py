@@ -102,7 +102,7 @@ def _ratio(read: ReadObject, index: int) -> float | None:
 def counts_per_shaft_turn(read: ReadObject) -> tuple[float | None, str]:
     """Return position units per turn of the drive's shaft, and the objects that declare them.
 
-    Objects that are all 1 scale nothing: the drive counts increments, and does not say how many a turn has.
+    Objects that are all 1 scale nothing: the drive counts increments without a declared number per revolution.
     """
     unit = read(codec.POSITION_UNIT, 0) or 0
     factor, numerator, _ = _split(unit)
