@@ -887,7 +887,12 @@ class Rig(FileTable):
 
     @model_validator(mode="after")
     def _wires_have_one_user(self) -> Self:
-        """A serial port has one driver; groups of CiA 402 drives may share a bus, with node ids of their own."""
+        """A serial port has one driver; groups of CiA 402 drives may share a bus, with node ids of their own.
+
+        Emulators make the wires of other rigs.
+        """
+        if self.kind != "hardware":
+            return self
         users: dict[str, str] = {}
         nodes: dict[tuple[object, ...], str] = {}
         for key, table in self.device_tables().items():

@@ -337,3 +337,24 @@ def test_proof_test_moves_no_axis_and_returns_what_it_found() -> None:
     assert proved[0] == "io: coupler identified, emergency stop released, safety chain closed"
     assert "Are all drives without power while the emergency stop is pressed? yes" in proved
     assert proved[-1] == "io: released, chain stayed open, closed again after the reset"
+
+
+@pytest.mark.parametrize("factor", [60.0, -60.0, 1.0 / 60.0, -1.0])
+def test_drive_of_another_unit_moves_by_a_tenth_of_a_degree_before_the_technician_is_asked(factor: float) -> None:
+    trials: list[Trial] = []
+    asked: list[float] = []
+
+    def answer(question: str) -> bool:
+        if "stay within" in question:
+            asked.append(abs(factor) * float(np.ptp(np.array(trials[0].places)[:, YAW])))
+        return True
+
+    trial = commissioned(
+        (YAW,),
+        answer=answer,
+        true_position=lambda axis, _: factor * float(trials[0].places[-1][axis]),
+        prepare=lambda _, trial, __: trials.append(trial),
+    )
+    assert trial.fails is not None
+    assert len(asked) == 1
+    assert asked[0] <= math.radians(0.1001)

@@ -142,6 +142,12 @@ def test_address_of_a_wire_is_the_same_however_it_is_written(tmp_path: Path) -> 
 TWO_GROUPS = """
 extends = "emulated"
 name = "lab"
+kind = "hardware"
+rails.modbus.x.port = 502
+rails.modbus.y = {{ port = 503 }}
+rails.modbus.z = {{ port = 504 }}
+vmu.rs422.port = "/dev/ttyS7"
+io = {{ port = 505 }}
 [turntable.cia402]
 interface = "{interface}"
 channel = "can0"
