@@ -341,19 +341,19 @@ def test_proof_test_moves_no_axis_and_returns_what_it_found() -> None:
 
 @pytest.mark.parametrize("factor", [60.0, -60.0, 1.0 / 60.0, -1.0])
 def test_drive_of_another_unit_moves_by_a_tenth_of_a_degree_before_the_technician_is_asked(factor: float) -> None:
-    trials: list[Trial] = []
+    begun: list[tuple[Runner, Trial]] = []
     asked: list[float] = []
 
     def answer(question: str) -> bool:
         if "stay within" in question:
-            asked.append(abs(factor) * float(np.ptp(np.array(trials[0].places)[:, YAW])))
+            asked.append(abs(factor) * float(np.ptp(np.array(begun[0][1].places)[:, YAW])))
         return True
 
     trial = commissioned(
         (YAW,),
         answer=answer,
-        true_position=lambda axis, _: factor * float(trials[0].places[-1][axis]),
-        prepare=lambda _, trial, __: trials.append(trial),
+        true_position=lambda axis, _: factor * float(begun[0][0].loop.bench.motion.position[axis]),
+        prepare=lambda runner, trial, _: begun.append((runner, trial)),
     )
     assert trial.fails is not None
     assert len(asked) == 1
