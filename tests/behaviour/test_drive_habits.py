@@ -22,33 +22,11 @@ from hil.errors import DeviceError, DriveFault, LinkLost, ProtocolError
 from hil.parts.emulation.cia402 import Cia402Emulator
 from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.can_bus import BusClock, CanBus, group_of
+from tests.support.drive_makes import CSP_AND_HOMING, INTERPOLATED_AND_HOMING, MAKES, MILLI_PER_MINUTE, PER_MINUTE
 from tests.support.lock_step import GRID_S
 from tests.support.turntable_bench import eventually, served
 
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 15.0}
-PER_MINUTE, MILLI_PER_MINUTE = 0x00B44700, 0xFDB44700
-CSP_AND_HOMING, INTERPOLATED_AND_HOMING = 0xA0, 0x60
-MAKES = {
-    "obliging": {},
-    "late modes": {"mode_lag_s": 0.02},
-    "very late modes": {"mode_lag_s": 0.2},
-    "modes when enabled": {"mode_only_enabled": True},
-    "lingering bits": {"bits_lag_s": 0.2},
-    "no remote frames": {"no_remote_frames": True},
-    "rev/min": {"velocity_unit": PER_MINUTE},
-    "milli rev/min": {"velocity_unit": MILLI_PER_MINUTE},
-    "no velocity": {"missing": (0x606C,)},
-    "no heartbeat": {"missing": (0x1017,)},
-    "no error code": {"missing": (0x603F,)},
-    "interpolated position alone": {"supported_modes": INTERPOLATED_AND_HOMING},
-    "setpoints alone": {"supported_modes": CSP_AND_HOMING},
-    "kept errors": {"keeps_error": True},
-    "slow to enable": {"enable_s": 4.0},
-    "warnings in bursts": {"warnings_hz": 10.0},
-    "fixed SYNC": {"aborts": (0x1005,)},
-    "no setpoint time-out": {"missing": (0x605B,)},
-    "foreign nodes": {"foreign_nodes": (20, 21)},
-}
 REFUSED = {
     "60 times the increments": ({"declared_scale": 60.0}, "0x608F declares 600000000 position units"),
     "a sixtieth of them": ({"declared_scale": 1.0 / 60.0}, "0x608F declares 166666.667 position units"),

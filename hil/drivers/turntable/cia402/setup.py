@@ -138,7 +138,8 @@ class DriveSetup:
         period_s: between two setpoints. master: node id of the bench.
         """
         for index, subindex in self._eds.other_pdos():
-            if not (identifier := self.get(index, 4, subindex)) & codec.PDO_INVALID:
+            identifier = self.read(index, subindex)
+            if identifier is not None and not identifier & codec.PDO_INVALID:
                 self.put(index, identifier | codec.PDO_INVALID, 4, subindex)
         self._choose_stream()
         self._map_setpoint()
@@ -416,7 +417,8 @@ class DriveSetup:
     def set(self, index: int, value: int, size: int, subindex: int = 0) -> None:
         """Write a setting unless the drive has it already, and read it back. Raises ProtocolError if it differs."""
         mask = (1 << 8 * size) - 1
-        if self.get(index, size, subindex) & mask == value & mask:
+        present = self.read(index, subindex)
+        if present is not None and present & mask == value & mask:
             return
         self.put(index, value, size, subindex)
         if (actual := self.get(index, size, subindex)) & mask != value & mask:
@@ -442,7 +444,7 @@ class DriveSetup:
         The bit that forbids remote frames stays as the drive has it; a drive that has none of them insists on it.
         """
         identifier = pdo.identifier + self.node_id
-        kept = self.get(pdo.parameter, 4, 1) & codec.PDO_NO_RTR
+        kept = (self.read(pdo.parameter, 1) or 0) & codec.PDO_NO_RTR
         try:
             self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
         except ProtocolError as error:
@@ -460,9 +462,8 @@ class DriveSetup:
         self.put(pdo.parameter, identifier | kept, 4, subindex=1)
 
     def _has_mapping(self, index: int, mapping: list[int]) -> bool:
-        return self.get(index, 1) & 0xFF == len(mapping) and all(
-            self.get(index, 4, each) & 0xFFFF_FFFF == entry for each, entry in enumerate(mapping, start=1)
-        )
+        present = [self.read(index, each) for each in range(len(mapping) + 1)]
+        return [each is not None and each & 0xFFFF_FFFF for each in present] == [len(mapping), *mapping]
 
     def _transfer(
         self, index: int, subindex: int, transfer: Callable[[], bytes | None], value: int | None = None
