@@ -125,6 +125,7 @@ WIRES: Final = Part(
         "rig.kind=hardware": "hil.parts.wires.wired:wired_bench",
         "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
         "rig.kind=hardware: preflight": "hil.parts.wires.devices:hardware_checks",
+        "rig.turntable.driver=cia402: description": "hil.drivers.turntable.cia402.describe:describe",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
     check_rig="hil.parts.wires.clock:check_clock",

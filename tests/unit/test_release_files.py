@@ -24,7 +24,7 @@ BY_THE_WALL_CLOCK = {
         test_stop_in_each_phase test_two_controllers test_undecided
     """,
     "they test the time-outs of a driver, or a program of another maker is at the other end of the wire": """
-        test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
+        test_canopen_node test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
         test_turntable_ascii_noise test_turntable_timeouts test_vmu_rs422
     """,
     "bench and GNC run free of each other, over a network that loses and delays": """
