@@ -116,6 +116,16 @@ def write_level(monitor, state, estimate, supervision):
 
 
 @kernel
+def cause_of(condition):
+    """Return the cause of an abort for a condition: a bit of health, or after these the protection level."""
+    if condition == HEALTH_BITS:
+        return UNPROTECTED
+    if condition == HEALTH_BITS - 1:
+        return SENSOR_SUSPECT
+    return BENCH_DISAGREES if condition == HEALTH_BITS - 2 else FIRST_HEALTH_CAUSE + condition
+
+
+@kernel
 def _wanted(params, state, kind, t_s, health, cause):
     """Return the strongest reaction in a phase of ``kind``; write its cause to ``cause`` (1,)."""
     strongest = CONTINUE
@@ -134,13 +144,7 @@ def _wanted(params, state, kind, t_s, health, cause):
             applies = since_s != 0.0 and t_s - since_s >= params.time_to_alert_s
         if applies and params.table[condition, kind] > strongest:
             strongest = params.table[condition, kind]
-            cause[0] = FIRST_HEALTH_CAUSE + condition
-            if condition == HEALTH_BITS - 2:
-                cause[0] = BENCH_DISAGREES
-            elif condition == HEALTH_BITS - 1:
-                cause[0] = SENSOR_SUSPECT
-            elif condition == HEALTH_BITS:
-                cause[0] = UNPROTECTED
+            cause[0] = cause_of(condition)
     return strongest
 
 

@@ -110,6 +110,8 @@ FUSION_STATE = np.dtype(
     align=True,
 )
 
+_ALONE = 4  # times ``reopen_after``: consecutive poses that reopen the gate without a sound IMU
+_DIVERGED_S = 5.0
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: largest motion between two poses that agree
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
@@ -184,12 +186,17 @@ def _compare(state, pose):
 
 @kernel
 def _add_jump(state, z, delta_s):
-    """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much."""
+    """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much.
+
+    Without a sound IMU the velocity may be as well, by what leads there in ``_DIVERGED_S``.
+    """
     filters, position = state.filters, stack.vector(3)
     quat.transform_back_into(filters.akf.x[0:4], z, position)
     for i in range(3):
         jump = -position[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
         filters.p[R + i, R + i] += jump * jump
+        if state.thrust.without_imu == 1:
+            filters.p[V + i, V + i] += (jump / _DIVERGED_S) ** 2
         state.jump_m[i] = max(state.jump_m[i], abs(jump))
 
 
@@ -198,6 +205,9 @@ def _closed_gate(params, state, passes):
     """Return the result of the closed gate for a pose that agrees with the IMU's carry-over if ``passes``."""
     state.agreeing = state.agreeing + 1 if passes and state.mutual > 0 else 0
     if state.agreeing >= params.reopen_after:
+        return REOPENED
+    # an accused IMU is no witness against poses that agree with each other for longer
+    if state.thrust.without_imu == 1 and min(state.mutual, state.rejected_in_a_row) >= _ALONE * params.reopen_after:
         return REOPENED
     if state.accepted == 0 and state.mutual >= params.reopen_after:
         return RESTARTED
