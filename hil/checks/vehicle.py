@@ -19,7 +19,7 @@ from hil.core.messages import REFERENCE, Array, new
 from hil.dynamics.hill import hill_acceleration
 from hil.errors import Problem
 from hil.gnc import guidance
-from hil.gnc.approach_monitor import closing_margin, corridor_margin
+from hil.gnc.approach_monitor import closing_limit, closing_margin, corridor_margin
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import linear, quat
 from hil.params import gnc as gnc_params
@@ -31,6 +31,7 @@ _INTERVAL_S: Final = 0.1
 _FREQUENCY_RADPS: Final = 0.3  # of the textbook control, critically damped
 _SETTLED_S: Final = 30.0  # at the end of a phase that waits
 _EDGE_S: Final = 1e-6
+_CLOSING: Final = 0.95  # of the largest closing rate: the rest is for the uncertainty of the estimate
 
 
 class Authority(NamedTuple):
@@ -179,8 +180,9 @@ def _why_not(scenario: Scenario) -> str:
         off = off + dt_s * speed
         r, v = sample.r + off, sample.v + speed
         range_m = linear.length(r)
-        if (margin := float(closing_margin(params, r, v))) < 0.0:
-            return f"the chaser would close by {-margin:.3g} m/s faster at {range_m:.2f} m than gnc.corridor allows"
+        limit_mps = float(closing_limit(params, range_m))
+        if (speed_mps := limit_mps - float(closing_margin(params, r, v))) > _CLOSING * limit_mps:
+            return f"the chaser would close with {speed_mps:.3g} m/s at {range_m:.2f} m, allowed {limit_mps:.3g}"
         if (margin := float(corridor_margin(params, sample.from_H, sample.to_H, r))) < 0.0:
             return f"the chaser would leave the corridor by {-margin:.3g} m at {range_m:.2f} m"
     allowed = tolerances(scenario.requirements)["position_m"]

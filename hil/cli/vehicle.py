@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def vehicle(
-    scenario: str = "scheme-1", /, *, rig: str = "mock", settings: Settings = (), picture: Figure = None,
+    scenario: str = "scheme-1", /, *, rig: str = "mock", settings: Settings = (), image: Figure = None,
     json: File = None,
 ) -> int:  # fmt: skip
     """Compare the vehicle of a scenario with its plan, Table III, and abort; exit code 2 if it cannot fly the plan.
@@ -24,7 +24,7 @@ def vehicle(
         Shipped scenario, or the path of a file.
     rig
         Rate of the vision unit: mock, emulated, or the path of a rig file.
-    picture
+    image
         File for the forces and torques that the thrusters can give, *.svg, *.png or *.pdf.
     json
         File for the numbers, - for standard output.
@@ -45,10 +45,10 @@ def vehicle(
             say(f"no go: {line}")
 
     deliver({"scenario": loaded.value.name, **numbers, "no_go": warnings}, json, show)
-    if picture is not None:
+    if image is not None:
         from hil.report.authority_figure import authority_figure
 
-        authority_figure(loaded.value).savefig(picture)
+        authority_figure(loaded.value).savefig(image)
     if problems := check_plan(loaded, loaded_rig) or check_abort(loaded):
         raise BadInput(problems)
     return 0

@@ -2,7 +2,7 @@
 
 A go is given when the ready state has held on the estimate for the dwell time and control can hold it for the time of
 a go. Once given it stays as long as deviation and level are within Table III together: the promise is not tested again,
-so that a go does not end by noise. The check writes what was missing last, in words by ``approach_events``.
+so that a go does not end by noise. The check notes what was missing last: ``approach_events`` has the texts.
 """
 
 from __future__ import annotations

@@ -58,6 +58,7 @@ REACTION_STATE = np.dtype(
         ("level", "f8", 3),  # protection levels along the docking axis, across it, m, of the attitude, rad ...
         ("limit", "f8", 3),  # ... with their alert limits
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
+        ("from_future", "i8"),  # poses so far that were stamped ahead of the loop
         ("broken", BREAK),  # of corridor or closing rate, m, m/s
     ],
     align=True,

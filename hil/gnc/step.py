@@ -126,6 +126,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     watch_thrusters(params, state, memory, samples, command, estimate)
     if backends.navigation.step == 0:
         navigation.write_go(state.navigation, approach.go)
+        approach.reactions.from_future = state.navigation.fusion.from_future
         copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)
     sigma = target_motion.largest_sigma(params.navigation.fusion, state.navigation.fusion)
     approach.target_unknown = 1 if sigma > params.approach.target_rate_sigma else 0
@@ -252,7 +253,7 @@ def _feed_forward(params, state, reference):
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
     p, q, rotates = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble.rotates
     for i in range(6):  # from the previous cycle
-        state.approach.go.firing[i] = feed.pulse_s * params.control.acceleration[i]
+        state.approach.go.firing[i] = max(params.control.pulse_s, feed.pulse_s) * params.control.acceleration[i]
     busy = control.is_busy(params.control, feed)
     feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters, busy)
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]

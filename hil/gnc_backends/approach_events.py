@@ -57,6 +57,10 @@ def limit_text(cause: int, state: np.record | None) -> str:
     if cause == approach_monitor.BENCH_DISAGREES:
         axis, value, limit = (float(number) for number in state["bench_breach"])
         return f": {_AXES[int(axis)]} {_shown(int(axis), value)} off, allowed {_shown(int(axis), limit)}"
+    if cause == approach_monitor.FIRST_HEALTH_CAUSE and watched["from_future"]:
+        return (
+            f": {int(watched['from_future'])} poses were stamped in the future, the clock of the vision unit is ahead"
+        )
     if cause in (approach_monitor.UNPROTECTED, approach_monitor.FIRST_HEALTH_CAUSE, approach_monitor.HELD_TOO_LONG):
         return _level_text(watched)
     return ""

@@ -1,4 +1,4 @@
-"""Picture of the authority: forces and torques that the thrusters can give together, as polygons in three planes."""
+"""Figure of the authority: forces and torques that the thrusters can give together, as polygons in three planes."""
 
 from __future__ import annotations
 

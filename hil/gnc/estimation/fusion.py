@@ -80,7 +80,8 @@ FUSION_STATE = np.dtype(
         ("rejected_position", "i8"),  # by the gate on the innovation
         ("rejected_attitude", "i8"),
         ("duplicates", "i8"),
-        ("too_late", "i8"),  # or from the future, or one too many for a step: not placed
+        ("too_late", "i8"),  # or one too many for a step: not placed
+        ("from_future", "i8"),  # the same, by a clock that is ahead
         ("rejected_in_a_row", "i8"),  # consecutive rejections
         ("nis_position", "f8"),
         ("nis_attitude", "f8"),
@@ -355,7 +356,7 @@ def _place(params, state, memory, pose):
         return -1
     cycle = to_integer(math.floor(pose.t_s / params.pkf.dt_s + 0.5))
     if cycle > state.cycle + params.ahead:  # the unit's clock runs ahead: the moment of exposure is unknown
-        state.too_late += 1
+        state.from_future += 1
         return -1
     cycle = min(cycle, state.cycle)
     oldest = max(0, state.cycle - params.memory + 1)
