@@ -17,7 +17,7 @@ from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.control import held_error, rule_of
-from hil.gnc.estimation.integrity import go_sum
+from hil.gnc.estimation.integrity import USUAL_SUM, go_sum
 from hil.gnc.estimation.missed_fault import largest_missed
 from hil.maths import linear
 from hil.maths.elementary import square
@@ -140,7 +140,7 @@ def _levels(scenario: Scenario, rig: Rig) -> tuple[Array, Array, float]:
     turned = math.radians(budget.vision_misalignment_sigma_deg)
     spread = distance * np.array([budget.vision_scale_sigma, turned, turned])
     vision = np.sqrt(square(spread) + square(np.array(budget.vision_bias_sigma_m)))
-    limit = go_sum(params, 1.0 / rig.vmu.rate_hz)
+    limit = min(USUAL_SUM, go_sum(params, 1.0 / rig.vmu.rate_hz))
     missed, _ = largest_missed(params, gain, gain_speed, limit / params.mean_shift, limit, 0, np.inf)
     sigma = np.sqrt(variance + square(vision))
     levels: Array = params.sigmas_go * sigma + missed * math.sqrt(square(noise) + variance)

@@ -34,6 +34,8 @@ SUMS: Final = 12
 LEVEL_TERMS: Final = 5
 """Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
 bound of the second sensor."""
+USUAL_SUM: Final = 12.0
+"""Sum that noise reaches about once a minute, standard deviations: the level of a go contains what it hides."""
 _OVERSHOOT = 1.166  # of a sum of normal innovations beyond its limit, standard deviations (Siegmund 1985)
 _REPEATS_MAX = 2  # repetitions of a pose with all its digits: with noise none are expected
 _FOLLOW_EACH = 4  # accepted poses
@@ -83,7 +85,7 @@ INTEGRITY_STATE = np.dtype(
         ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is a go, standard deviations
         ("worst", "f8"),  # largest sum
         ("worst_of", "i8"),  # its number
-        ("followed_go", "f8"),  # as followed, of a fault that a sum of ``cusum_go`` does not show
+        ("followed_go", "f8"),  # as followed, of a fault that the present sums do not show
         ("go_m", "f8", 3),  # level that a go needs
         ("level", "f8", 3),  # m, protection level of the cycle before
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of which it consists, see ``LEVEL_TERMS``
@@ -128,6 +130,7 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
     nis_attitude: nan for a position alone, whose innovation of the attitude is 0.
     """
     state.monitored += 1
+    state.worst = 0.0
     for i in range(SUMS):
         value = innovation[min(i, 5)]
         if i >= 6:  # a fault between two axes is no larger before it is found than one along an axis
@@ -137,6 +140,9 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
         state.low[i] = max(0.0, state.low[i] - value - params.mean_shift)
         if state.high[i] > params.cusum_limit or state.low[i] > params.cusum_limit:
             state.biased = 1
+        larger = max(state.high[i], state.low[i])
+        if larger > state.worst:
+            state.worst, state.worst_of = larger, i
     weight = max(params.nis_weight, 1.0 / state.monitored)
     state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
     if not math.isnan(nis_attitude):
@@ -206,9 +212,10 @@ def follow(params, state, fusion, dt_s):
     state.followed = max(step, ramp)
     state.followed_speed = speed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
     state.cusum_go = go_sum(params, fusion.interval_s)
-    n = min(n, state.cusum_go / params.mean_shift)
-    step, _ = largest_missed(params, gain, gain_speed, n, state.cusum_go, 0, np.inf)
-    ramp, _ = largest_missed(params, gain, gain_speed, n, state.cusum_go, 1, most)
+    limit = min(state.cusum_go, max(USUAL_SUM, state.worst))  # what the sums have reached, noise or not, is a fault
+    n = min(n, limit / params.mean_shift)
+    step, _ = largest_missed(params, gain, gain_speed, n, limit, 0, np.inf)
+    ramp, _ = largest_missed(params, gain, gain_speed, n, limit, 1, most)
     state.followed_go = max(step, ramp)
 
 
@@ -278,11 +285,6 @@ def protect(params, sensors, state, fusion, t_s, out):
     age_s = max(0.0, t_s - fusion.last_accepted_s)
     velocity = state.followed_speed * fusion.noise_m
     bias = state.followed * fusion.noise_m + velocity * age_s
-    state.worst = 0.0
-    for i in range(SUMS):
-        larger = max(state.high[i], state.low[i])
-        if larger > state.worst:
-            state.worst, state.worst_of = larger, i
     doubt = state.followed_go * fusion.noise_m
     unbounded = state.biased != 0 or fusion.unconfirmed != 0
     if unbounded:

@@ -32,7 +32,7 @@ def test_a_requirement_that_is_tighter_is_named_with_both_numbers() -> None:
     scenario = load_scenario("scheme-1", ("requirements.radial_distance_m=0.002",)).value
     (line,) = go_warnings(scenario, RIG)
     assert (
-        line == "requirements.radial_distance_m = 0.002: the level of a go is 0.0051 m at least, so there will be none"
+        line == "requirements.radial_distance_m = 0.002: the level of a go is 0.0038 m at least, so there will be none"
     )
 
 
