@@ -29,6 +29,9 @@ CORE: Final = Part(
         "recover": PartCommand(
             "hil.cli.recover:recover", "Restore a truncated recording in a new file; the file itself stays unchanged."
         ),
+        "vehicle": PartCommand(
+            "hil.cli.vehicle:vehicle", "Compare the vehicle of a scenario with its plan, Table III, and abort."
+        ),
         "warm-up": PartCommand(
             "hil.cli.warm_up:warm_up",
             "Compile all kernels for this computer, and print the time that each group of them takes.",

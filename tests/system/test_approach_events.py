@@ -36,7 +36,7 @@ def progress(**fields: float) -> np.void:
 @pytest.mark.parametrize(("t_s", "since_s", "go"), [(100.0, np.nan, 0), (14.9, 10.0, 0), (15.0, 10.0, 1)])
 def test_docking_is_go_after_the_dwell_and_not_before(scheme_1: Scenario, t_s: float, since_s: float, go: int) -> None:
     params, state, supervision = gnc_params.gnc(scheme_1).approach, new(APPROACH_STATE), new(SUPERVISION)
-    params.dwell_s, supervision.ready_since_s = 5.0, since_s
+    params.monitor.dwell_s, supervision.ready_since_s = 5.0, since_s
     guidance.start(params.guidance, state.guidance)
     step.guide(params, state, t_s, supervision, new(REFERENCE))
     assert state.progress.docking_go == go
