@@ -110,9 +110,7 @@ def _is_quiet(params, of_pkf, errors, filters, force, mean):
         known = filters.p[b, b] + filters.p[d + i, d + i] + 2.0 * filters.p[b, d + i]
         off = force[i] - filters.pkf.x[6 + i] - filters.parameters[d + i]
         mean[i] += _MEAN_WEIGHT * (off - mean[i])
-        if abs(off) > params.gate * math.sqrt(noise + known):
-            quiet = False
-        elif abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
+        if abs(off) > params.gate * math.sqrt(noise + known) or abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
             quiet = False
     return quiet
 
