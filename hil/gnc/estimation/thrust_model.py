@@ -109,8 +109,11 @@ def _is_quiet(params, of_pkf, errors, filters, force, mean):
         b, noise = BIAS + i, of_pkf.sigma_accelerometer**2
         known = filters.p[b, b] + filters.p[d + i, d + i] + 2.0 * filters.p[b, d + i]
         off = force[i] - filters.pkf.x[6 + i] - filters.parameters[d + i]
-        mean[i] += _MEAN_WEIGHT * (off - mean[i])
-        if abs(off) > params.gate * math.sqrt(noise + known) or abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
+        allowed = params.gate * math.sqrt(noise + known)
+        mean[i] += _MEAN_WEIGHT * (min(allowed, max(-allowed, off)) - mean[i])
+        if abs(off) > allowed:
+            quiet = False
+        elif abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
             quiet = False
     return quiet
 

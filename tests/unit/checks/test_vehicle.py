@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from hil.checks.go_level import go_warnings, predicted_hold
 from hil.checks.vehicle import authority, check_vehicle, phase_demands
+from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.report.authority_figure import polygon
 
@@ -74,3 +78,19 @@ def test_limit_cycle_takes_its_propellant_at_half_a_firings_change_of_rate() -> 
 def test_polygon_of_opposed_pairs_is_their_box() -> None:
     corners = polygon(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 2.0], [0.0, -2.0]]))
     assert (corners.min(axis=0).tolist(), corners.max(axis=0).tolist()) == ([-1.0, -2.0], [1.0, 2.0])
+
+
+def test_page_has_the_numbers_and_refuses_what_cannot_be_flown(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    image = tmp_path / "authority.svg"
+    assert execute(["vehicle", "scheme-1", "--json", "-", "--image", str(image)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["axis"] for row in found["authority"]} == {
+        f"{how} {axis}" for how in ("along", "about") for axis in "xyz"
+    }
+    assert found["abort"]["flown_mps2"] == pytest.approx(0.018)
+    assert found["no_go"] == []
+    assert image.read_text().startswith("<?xml")
+    assert execute(["vehicle", "scheme-1", "--set", "chaser.thrusters.force_n=0.5"]) == 2
+    assert "chaser.thrusters give 0.00196" in capsys.readouterr().err
