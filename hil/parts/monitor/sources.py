@@ -155,7 +155,7 @@ def _video(path: Path, scene: Loaded[Scene]) -> Source:
 
 
 def _video_images(video: Video, scene: Loaded[Scene]) -> Iterator[NumberedImage]:
-    """Yield images with the number of image periods elapsed: one that the file lacks leaves a gap, which is said."""
+    """Yield images with the number of image periods elapsed: one that the file lacks leaves a gap, which is logged."""
     start_s, previous, lost = 0.0, -1, 0
     for number, each in enumerate(video):
         if number == 0:
