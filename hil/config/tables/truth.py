@@ -130,7 +130,7 @@ class Truth(ModelFmu):
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8
     """Highest degree of the body's field; 0: point mass."""
     gravity_file: str | None = None
-    """Field to use instead of the body's own, for the Moon LP165P to degree 8: GMAT .cof or PDS SHADR .tab."""
+    """Field instead of the body's own, for the Moon LP165P to degree 8: ICGEM .gfc, GMAT .cof or PDS SHADR .tab."""
     gravity_gradient: bool = True
     """Torque of the gravity gradient."""
     solar_pressure: bool = False

@@ -6,7 +6,7 @@ reported before the first frame if possible, otherwise after the last good one.
 
 from __future__ import annotations
 
-import os
+import logging
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -21,9 +21,12 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded
 from hil.config.scene import Scene
-from hil.core.files import check_regular, read_bytes
-from hil.core.image_files import IMAGE_BYTES, VIDEO_BYTES, decode_grey
+from hil.core.files import read_bytes
+from hil.core.image_files import IMAGE_BYTES, decode_grey
+from hil.core.video import Video
 from hil.errors import BadInput
+
+log = logging.getLogger("hil")
 
 Image = NDArray[np.uint8]
 NumberedImage = tuple[int, Image]  # number in image periods, image
@@ -35,7 +38,7 @@ LOWER: Final = 2  # lines 1, 3, 5 ...
 _IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
 _RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
-_LONGEST_COUNT: Final = 1e8  # a container that states more images than this has no valid number
+_UNEVEN: Final = 0.25  # image periods by which the time of an image may be off its place
 
 
 @dataclass(frozen=True)
@@ -119,9 +122,6 @@ def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = ti
 
     clock, s: of live cameras only; recorded images have times from the scene's rate.
     """
-    # suppress the decoder's own messages: one line reports the error
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     path = Path(name)
     if path.is_dir():
@@ -147,40 +147,39 @@ def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
 
 
 def _video(path: Path, scene: Loaded[Scene]) -> Source:
-    check_regular(path, VIDEO_BYTES)
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise BadInput.single(str(path), "", "not a readable video, or truncated")
-    stated = capture.get(cv2.CAP_PROP_FPS)
-    expected = scene.value.fps
-    if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _RATE_TOLERANCE * expected:
-        text = f"{stated:g} images per second: must be {expected:g}, fps of {scene.source}"
+    video, expected = Video(path), scene.value.fps
+    if video.rate_hz is not None and abs(video.rate_hz - expected) > _RATE_TOLERANCE * expected:
+        text = f"{video.rate_hz:g} images per second: must be {expected:g}, fps of {scene.source}"
         raise BadInput.single(str(path), "image rate", text)
-    stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    count = int(stated) if 0.0 < stated < _LONGEST_COUNT else None
-    return Source(str(path), scene.value, _video_images(capture, path, scene, count), count)
+    return Source(str(path), scene.value, _video_images(video, scene), video.count)
 
 
-def _video_images(
-    capture: cv2.VideoCapture, path: Path, scene: Loaded[Scene], count: int | None
-) -> Iterator[NumberedImage]:
-    number, slot, start = 0, -1, 0
-    try:
-        while True:
-            whole, image = capture.read()
-            if not whole:
-                break
-            # a lost image within the file leaves a gap in the times of the following ones
-            slot = max(slot + 1, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 * scene.value.fps))
-            start = slot if number == 0 else start
-            yield slot - start, _checked(image, str(path), scene)
-            number += 1
-    finally:
-        capture.release()
-    if number == 0:
-        raise BadInput.single(str(path), "", "not a readable video: contains no complete image")
-    if count is not None and number < count - 1:
-        raise BadInput.single(str(path), "", f"truncated or damaged: {number} complete images, {count} expected")
+def _video_images(video: Video, scene: Loaded[Scene]) -> Iterator[NumberedImage]:
+    """Yield images with the number of image periods elapsed: one that the file lacks leaves a gap, which is said."""
+    start_s, previous, lost = 0.0, -1, 0
+    for number, each in enumerate(video):
+        if number == 0:
+            start_s = each.t_s
+            _check_fields(each.fields, video.path, scene)
+        periods = (each.t_s - start_s) * scene.value.fps
+        slot = max(previous + 1, round(periods))
+        if abs(periods - slot) > _UNEVEN + video.resolution_s * scene.value.fps:
+            text = (
+                f"image {number} at {each.t_s - start_s:.4f} s: must be evenly spaced, {scene.value.fps:g} per second"
+            )
+            raise BadInput.single(str(video.path), "image times", text)
+        lost += slot - previous - 1
+        previous = slot
+        yield slot, _checked(each.image, str(video.path), scene)
+    if lost:
+        log.warning("%s: %d images are missing between the others: their times are left out", video.path, lost)
+
+
+def _check_fields(order: str, path: Path, scene: Loaded[Scene]) -> None:
+    """Raise BadInput if the file states another order of the half frames than the scene."""
+    if order and order != scene.value.fields:
+        text = f'"{scene.value.fields}": the video is interlaced, {order}'
+        raise BadInput.single(str(path), f"fields of {scene.source}", text)
 
 
 def _folder(path: Path, scene: Loaded[Scene]) -> Source:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
+from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import (
@@ -30,12 +31,14 @@ from hil.cli.options import (
 )
 from hil.cli.output import base_of, deliver, say, write_json
 from hil.cli.progress import ProgressBar
+from hil.config.vmu_geometry import Tolerances
 from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
 
+Kind = Literal["opencv", "kalibr", "ros"]
 _PASSED, _FAILED = 0, 1
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
@@ -171,6 +174,18 @@ class DriveOptions:
     """With --drive: confirm that the bench is clear (required for hardware rigs)."""
 
 
+@dataclass(frozen=True)
+class InterchangeOptions:
+    """Options of calibrations of other programs."""
+
+    source: Annotated[Kind | None, Parameter(name="--from")] = None
+    """VIEWS is a calibration of opencv (YAML of stereoCalibrate), kalibr (camchain) or ros (camera_info, LEFT,RIGHT):
+    write its cameras as the geometry file --out, with the LEDs of --geometry or --rig."""
+    to: Kind | None = None
+    """VIEWS is a geometry file: write its cameras for opencv, kalibr or ros next to it."""
+
+
+_INTERCHANGE = InterchangeOptions()
 _START, _RESULT, _SIGMAS, _LIMITS, _DRIFT, _DRIVE = (
     InitialGuessOptions(),
     ResultOptions(),
@@ -185,6 +200,7 @@ def calibrate(
     views: str,
     /,
     *,
+    interchange: Group[InterchangeOptions] = _INTERCHANGE,
     start: Group[InitialGuessOptions] = _START,
     result: Group[ResultOptions] = _RESULT,
     sigmas: Group[BenchSigmas] = _SIGMAS,
@@ -202,6 +218,8 @@ def calibrate(
     views
         Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
+    if interchange.source is not None or interchange.to is not None:
+        return _interchange(views, interchange, start, result.out, settings)
     problems = start.problems()
     if drift.check is not None:
         given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
@@ -331,6 +349,40 @@ def _calibrate(
     if result.json != "-":
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED
+
+
+def _interchange(
+    views: str, interchange: InterchangeOptions, start: InitialGuessOptions, out: str | None, settings: Sequence[str]
+) -> int:
+    """Read or write the cameras of a pair as another program has them."""
+    from hil.config.load import load_geometry, load_rig
+    from hil.vmu.calibration.files import as_toml
+    from hil.vmu.calibration.interchange import read_pair, written
+    from hil.vmu.geometry import geometry_of_rig
+
+    if interchange.source is not None and interchange.to is not None:
+        raise BadInput.single("--from", "", "goes without --to")
+    if interchange.to is not None:
+        path = Path(views)
+        files = {path.with_name(f"{path.stem}-{ending}"): text for ending, text in
+                 written(interchange.to, load_geometry(views).value).items()}  # fmt: skip
+        if existing := [file for file in files if file.exists()]:
+            raise BadInput.single("--to", "", f"{existing[0]}: exists already, move it away")
+        for file, text in files.items():
+            write_text(text, str(file))
+            say(str(file))
+        return _PASSED
+    if out is None:
+        raise BadInput.single("--out", "", "is missing: the geometry file (*.toml) to write")
+    assert interchange.source is not None
+    rig = load_rig(start.rig, settings).value
+    nominal = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig)
+    paths = [Path(name) for name in views.split(",")]
+    geometry = read_pair(interchange.source, paths, nominal.model_copy(update={"tolerances": Tolerances()}))
+    table = geometry.model_dump(exclude_none=True)
+    write_text(as_toml(table, f"Vision unit, with the cameras of {views} ({interchange.source})."), out)
+    say(f"{out}: state the accuracy of this calibration in [tolerances], and check the LEDs")
+    return _PASSED
 
 
 def _television_problems(start: InitialGuessOptions, scene_out: str | None, others: dict[str, object]) -> list[Problem]:
