@@ -159,28 +159,31 @@ def test_healthy_network_refuses_no_order(round_trip_s: float) -> None:
 @pytest.mark.parametrize("round_trip_s", ROUND_TRIPS_S)
 def test_healthy_network_interrupts_no_jog(round_trip_s: float) -> None:
     interrupted, presses = 0, 40
-    with console("--scenario", "scheme-1", "--rig", "mock", *PATIENT) as made, relay_to(made.address) as relay:
-        with chromium() as page:
-            page.open(f"http://127.0.0.1:{relay.port}/", SCRIPT)
-            until(page, "Boolean(window.hil && window.hil.page)")
-            ask_by(page, "take")
-            until(page, "window.hil.now.lease.mine")
-            opened = 'window.hil.link.ask({do: "open", scenario: "scheme-1", rig: "mock", confirmed: true})'
-            assert page.evaluate(opened)["ok"]
-            until(page, "window.hil.now.mode === 'standby'", 240.0)
-            watcher = made.page("watcher")
-            slow_down(relay, round_trip_s)
-            time.sleep(2.0)
-            for press in range(presses):
-                page.press(("ArrowLeft", "ArrowRight")[press % 2])
-                watcher.until(lambda: watcher.now["mode"] == "jogging", "the jog")
-                end_s = time.monotonic() + 5.0
-                while time.monotonic() < end_s:
-                    watcher.take(1.0)
-                    if watcher.now["mode"] != "jogging":
-                        interrupted += 1
-                        break
-                page.release(("ArrowLeft", "ArrowRight")[press % 2])
-                watcher.until(lambda: watcher.now["mode"] == "standby", "the end of the jog")
+    with (
+        console("--scenario", "scheme-1", "--rig", "mock", *PATIENT) as made,
+        relay_to(made.address) as relay,
+        chromium() as page,
+    ):
+        page.open(f"http://127.0.0.1:{relay.port}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        ask_by(page, "take")
+        until(page, "window.hil.now.lease.mine")
+        opened = 'window.hil.link.ask({do: "open", scenario: "scheme-1", rig: "mock", confirmed: true})'
+        assert page.evaluate(opened)["ok"]
+        until(page, "window.hil.now.mode === 'standby'", 240.0)
+        watcher = made.page("watcher")
+        slow_down(relay, round_trip_s)
+        time.sleep(2.0)
+        for press in range(presses):
+            page.press(("ArrowLeft", "ArrowRight")[press % 2])
+            watcher.until(lambda: watcher.now["mode"] == "jogging", "the jog")
+            end_s = time.monotonic() + 5.0
+            while time.monotonic() < end_s:
+                watcher.take(1.0)
+                if watcher.now["mode"] != "jogging":
+                    interrupted += 1
+                    break
+            page.release(("ArrowLeft", "ArrowRight")[press % 2])
+            watcher.until(lambda: watcher.now["mode"] == "standby", "the end of the jog")
     print(f"{1e3 * round_trip_s:.0f} ms: {presses} jogs of 5 s, {interrupted} interrupted")  # noqa: T201
     assert interrupted == 0
