@@ -160,8 +160,9 @@ def replay_file(path: Path, gnc: str | None, settings: Settings, trust_code: boo
     trust_code: whether code that the recording alone names is loaded.
     """
     recorded = load_without_rows(path)
+    batches = [load(path).as_batch()] if recorded.rewritten else row_batches(path)
     with trusting(trust_code):
-        return FileReplay(recorded, *_replayed(recorded, gnc, settings, row_batches(path)))
+        return FileReplay(recorded, *_replayed(recorded, gnc, settings, batches))
 
 
 def _replayed(

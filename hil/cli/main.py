@@ -1,15 +1,13 @@
 """``hil``: the command line. Exit codes: 0 done and passed, 1 done but the verdict is fail, 2 invalid input,
-3 safe-stopped by a fault or by the operator, 4 internal error.
+3 safe-stopped by a fault or by the operator, 4 internal error, 5 done with what could be read of a recording.
 
 Each command is declared by its part, see ``hil.core.part``; its module is imported only when it is called.
 """
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
-import resource
 import signal
 import sys
 import traceback
@@ -22,13 +20,14 @@ from cyclopts import App
 
 from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
+from hil.core.incomplete import take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
-from hil.core.surroundings import leave_process, remove_temporary_folders, settle_matplotlib
+from hil.core.surroundings import host_limit, leave_process, remove_temporary_folders, settle_matplotlib
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
-PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
+PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT, INCOMPLETE = range(6)
 
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
@@ -66,7 +65,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settle_matplotlib()
     code = execute(sys.argv[1:] if arguments is None else arguments)
     out.flush()
-    if out.problem and code in (PASSED, FAILED):  # a reader of the exit code alone would take the results as delivered
+    if out.problem and code in (
+        PASSED,
+        FAILED,
+        INCOMPLETE,
+    ):  # a reader of the exit code alone would take the results as delivered
         code = _fail(f"standard output: cannot be written: {out.problem}", BAD_INPUT)
     err.flush()
     # everything is closed; the interpreter's own exit takes longer than stopping the bench
@@ -118,6 +121,7 @@ def execute(arguments: Sequence[str]) -> int:
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_PIXELS_MAX))
     # before numpy: matrices are small here, and idle BLAS threads take the time of the others
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    take_incomplete()
     try:
         command, given, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         if command.__module__.startswith("hil."):
@@ -137,25 +141,12 @@ def execute(arguments: Sequence[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
             text = f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'"
             return _fail(f"hil {arguments[0]}: {text}", BAD_INPUT)
-        if limit := _host_limit(error):
+        if limit := host_limit(error):
             return _fail(limit, BAD_INPUT)
         traceback.print_exc()
         return _fail("internal error: please report it with the traceback above", DEFECT)
-    return result if isinstance(result, int) else PASSED
-
-
-def _host_limit(error: BaseException | None) -> str:
-    """Return which limit of this host ``error`` or its cause met, and what to do; "" for any other error."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-            most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-            return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
-        if isinstance(error, FileNotFoundError) and error.filename is None:
-            return "host: the working directory has been removed: change to another one"
-        if "can't start new thread" in str(error) or (isinstance(error, OSError) and error.errno == errno.EAGAIN):
-            return "host: no further thread or process can be started: raise the limit, ulimit -u"
-        error = error.__cause__ or error.__context__
-    return ""
+    code = result if isinstance(result, int) else PASSED
+    return INCOMPLETE if code == PASSED and take_incomplete() else code
 
 
 def _fail(text: str, code: int) -> int:

@@ -18,6 +18,9 @@ _FOLDER = "recordings"
 _ACTS = ("operator", "setting", "fault", "order")
 """Kinds of the log's lines that are acts of people."""
 
+_UNCHANGED = "rewritten, content unchanged: "
+_UNKNOWN = "rewritten, log unchanged, its other messages state no digest: "
+
 app = App(name="recordings")
 
 
@@ -168,13 +171,18 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
     from hil.core.arithmetic import why_bits_may_differ
     from hil.recording.audit import audit_problems
     from hil.recording.foxglove import LOG_TOPIC
-    from hil.recording.read import contents
+    from hil.recording.parts import later_parts
+    from hil.recording.read import contents, ordered_log
+    from hil.recording.verify import content_problems
     from hil.recording.writer import SUMMARY
 
     recording = contents(path, frozenset({LOG_TOPIC}))
-    log = recording.lines.get(LOG_TOPIC, [])
+    log = ordered_log(recording)
     files = {name: text for name, text in recording.files.items() if name != SUMMARY}
-    problems = audit_problems(path, recording.run, recording.end, files, log)
+    content = content_problems((path, *later_parts(path)))
+    problems = audit_problems(path, recording.run, recording.end, files, log) + (content or [])
+    problems += [recording.problem] if recording.problem else []
+    origin = "" if not recording.rewritten else _UNKNOWN if content is None else _UNCHANGED
     acts = [
         {key: line.get(key) for key in ("bench_s", "name", "key", "rights", "message", "configuration")}
         for line in log
@@ -190,8 +198,15 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
         if note := why_bits_may_differ(recording.run):
             print(f"{path}: {note}")  # noqa: T201
         digest = log[-1].get("digest", "") if log else ""
-        print(f"{'FAIL' if problems else 'PASS'} audit of {path.name}: {len(log)} entries, last digest {digest}")  # noqa: T201
-    return {"recording": str(path), "entries": len(log), "problems": problems, "acts": acts}
+        verdict = f"FAIL audit of {path.name}: " if problems else f"PASS audit of {path.name}: {origin}"
+        print(f"{verdict}{len(log)} entries, last digest {digest}")  # noqa: T201
+    return {
+        "recording": str(path),
+        "entries": len(log),
+        "problems": problems,
+        "rewritten": recording.rewritten,
+        "acts": acts,
+    }
 
 
 for _name, _command in commands_of("recordings").items():

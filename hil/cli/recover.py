@@ -26,7 +26,7 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
     if outcome.out is None:
         text = f"{recording} is intact: {outcome.messages} messages over {outcome.length_s:.2f} s, nothing to recover"
     else:
-        lost = f"; {outcome.lost_chunks} damaged blocks are omitted" if outcome.lost_chunks else ""
-        text = f"{outcome.out}: {outcome.messages} messages over {outcome.length_s:.2f} s recovered{lost}"
+        recovered = f"{outcome.messages} messages over {outcome.length_s:.2f} s recovered"
+        text = f"{outcome.out}: {recovered}; the old file is {outcome.problem}"
     say(text)
     return 0

@@ -126,8 +126,6 @@ def _event(event: tuple[float, str, str]) -> dict[str, Any]:
 def _print(recorded: Recorded, scenario: Scenario, replayed: Replayed, changed: bool, errors: dict[str, Any]) -> None:
     from hil.recording.replay import follows
 
-    if not recorded.intact:
-        say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     if replayed.ended:
         say(replayed.ended)
     for note in recorded.log:

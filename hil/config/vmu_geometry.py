@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+import math
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+
+_BASELINE_M, _LED_M, _FOCAL = 10.0, 20.0, (0.05, 200.0)
+"""Largest sizes of a bench, and focal lengths in widths of the image."""
+OFFICIAL: Final = "official"
+OPENCV: Final = "opencv"
+LEGACY: Final = "legacy"
 
 
 class Calibration(ConfigModel):
@@ -117,6 +125,10 @@ class Tolerances(ConfigModel):
     """Time between the exposures of both cameras: 0 with a common trigger."""
 
 
+def _length(vector: Sequence[float]) -> float:
+    return math.sqrt(sum(x * x for x in vector))
+
+
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
@@ -132,7 +144,28 @@ class VmuGeometry(ConfigModel):
     """Rotation vector of the right camera's axes in the left one's: ``p_v = R p_right + baseline_m``."""
     marked_led: Annotated[int, Field(ge=0)] | None = None
     """Index of an LED that is brighter by a factor of at least 1.3."""
+    print: Literal["official", "opencv", "legacy"] | None = None
+    """Which way a target of `apriltag` or `charuco` is printed. AprilTags: `official`, as by the AprilTag library and
+    `hil targets print`, or `opencv`, turned by 180 deg. ChArUco boards: `opencv`, or `legacy`, of OpenCV before 4.6.
+    Unless set, it is taken from the places of several tags; poses that it leaves open are `rejected_print`."""
     sensor: Sensor | None = None
     tolerances: Tolerances = Tolerances()
     calibration: Calibration | None = None
     """Record of ``hil calibrate``."""
+
+    @model_validator(mode="after")
+    def _sizes_are_of_a_bench(self) -> Self:
+        for name, points, largest in (("baseline_m", (self.baseline_m,), _BASELINE_M), ("leds_m", self.leds_m, _LED_M)):
+            longest = max(_length(point) for point in points)
+            if longest > largest:
+                raise ValueError(f"{name}: {longest:g} m, allowed {largest:g} m: millimetres?")
+        turn = _length(self.right_rotation_rad)
+        if turn > math.pi + 1e-9:
+            raise ValueError(f"right_rotation_rad: {turn:g} rad, allowed 3.1416 rad: degrees?")
+        for side in ("left", "right"):
+            camera = getattr(self, side)
+            fractions = camera.fx / camera.width, camera.fy / camera.width
+            if not all(_FOCAL[0] <= each <= _FOCAL[1] for each in fractions):
+                text = f"{camera.fx:g}, {camera.fy:g} px of {camera.width} px width: pixels, not millimetres?"
+                raise ValueError(f"{side}.fx, fy: {text}")
+        return self

@@ -12,7 +12,8 @@ import os
 import re
 import stat
 import tomllib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -135,22 +136,47 @@ def _too_large(path: Path, at_most: int) -> BadInput:
     return _unreadable(path, f"is longer than {limit}")
 
 
+def create(path: Path, mode: int = 0o666) -> None:
+    """Create the empty file ``path``, in place of whatever has the name: a link is removed, never written through.
+
+    mode: of the new file, less the process' mask. Raises OSError.
+    """
+    path.unlink(missing_ok=True)
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode))
+
+
+@contextmanager
+def replaced(path: str | Path, mode: int = 0o666) -> Iterator[Path]:
+    """Yield the path of a new file in the folder of ``path`` that replaces it at the end, complete and on the disk.
+
+    On an error it is removed and ``path`` stays as it was. A device or a pipe is written itself. mode: of the new
+    file, less the process' mask. Raises OSError.
+    """
+    out = Path(path)
+    if out.exists() and not out.is_file():
+        yield out
+        return
+    partial = out.with_name(f"{out.name}.part")
+    try:
+        create(partial, mode)
+        yield partial
+        with partial.open("rb") as written:
+            os.fsync(written.fileno())
+        os.replace(partial, out)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
+
+
 def write_text(text: str, path: str | Path, mode: int = 0o666) -> None:
     """Write ``text`` to ``path``, completely or not at all; raise BadInput if it cannot be written.
 
     mode: of the new file, less the process' mask.
     """
-    out = Path(path)
-    partial = Path(f"{path}.part")
     try:
-        if out.exists() and not out.is_file():  # a device or a pipe: never replaced
-            out.write_text(text, encoding="utf-8")
-            return
-        partial.unlink(missing_ok=True)
-        with open(partial, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, mode)) as file:
-            file.write(text)
-        os.replace(partial, out)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise BadInput.single(str(path), "", f"cannot be written: {error.strerror or error}") from error
+        with replaced(path, mode) as partial:
+            partial.write_text(text, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise BadInput.single(str(path), "", f"cannot be written: {why}") from error

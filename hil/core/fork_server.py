@@ -9,11 +9,13 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import errno
 import fcntl
 import gc
 import importlib
 import json
 import os
+import resource
 import select
 import signal
 import socket
@@ -26,12 +28,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, NoReturn
 
 from hil.core.realtime import fair_share, take_fair_share
-from hil.core.surroundings import leave_process
+from hil.core.surroundings import host_limit, leave_process
 
 _PR_SET_NAME: Final = 15  # linux/prctl.h
 _REQUEST_BYTES: Final = 1 << 16
 _DESCRIPTORS_MAX: Final = 64
-_HIGH: Final = 512  # descriptors on their way to the numbers that they get
 _LOST: Final = -int(signal.SIGKILL)  # a child whose server has ended
 _READY_WALL_S: Final = 120.0  # its first start may compile what it prepares
 _PARENT_WALL_S: Final = 0.2  # between two looks whether the parent lives
@@ -200,7 +201,9 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
     """Call ``main`` of the child's module with the descriptors ``given`` under their numbers; end the process."""
     code = 1
     try:
-        free = max(_HIGH, *request["numbers"]) + 1
+        free = max(0, *given, *request["numbers"]) + 1  # above all of them
+        if free + len(given) > resource.getrlimit(resource.RLIMIT_NOFILE)[0]:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
         high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, free) for descriptor in given]
         for descriptor in given:
             os.close(descriptor)
@@ -215,8 +218,11 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
         code = 0
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else int(error.code is not None)
-    except BaseException:
-        traceback.print_exc()
+    except BaseException as error:
+        if limit := host_limit(error):
+            print(limit, file=sys.stderr)  # noqa: T201
+        else:
+            traceback.print_exc()
     finally:
         with contextlib.suppress(Exception):
             sys.stdout.flush()

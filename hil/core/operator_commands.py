@@ -13,6 +13,7 @@ from enum import Enum
 from typing import Final, Self
 
 from hil.core.modes import Mode
+from hil.core.typed_answers import ANSWER_S, FreshDigits
 
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals of a user, a terminal that closes, or the system, each of which stops the bench."""
@@ -184,14 +185,17 @@ class Operator:
 class TerminalOperator(Operator):
     """Operator at the terminal of a run that needs no other commands: ``resume`` ends a hold, ``stop`` the run.
 
-    descriptor: of the terminal, whose lines are read without waiting; after its end no hold can be resumed.
+    ``resume`` alone shows two digits: only with them, and soon after, is it an order; ``stop`` acts whenever it comes.
+    descriptor: of the terminal, whose lines are read without waiting; after its end no hold can be resumed. show: shows
+    a line at the terminal.
     """
 
     _LONGEST_LINE: Final = 256
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, show: Callable[[str], None], digits: FreshDigits | None = None) -> None:
         super().__init__()
-        self._descriptor = descriptor
+        self._descriptor, self._show = descriptor, show
+        self._digits = FreshDigits() if digits is None else digits
         self._ended = False
         self._line = b""
 
@@ -212,10 +216,14 @@ class TerminalOperator(Operator):
         *lines, rest = (self._line + typed).split(b"\n")
         self._line = rest[-self._LONGEST_LINE :]
         for line in lines:
-            if line.strip() == b"resume":
-                self.submit(OperatorCommand.RESUME)
-            elif line.strip() == b"stop":
+            word, _, given = line.decode(errors="replace").strip().partition(" ")
+            if word == "stop":
                 self.submit(OperatorCommand.STOP)
+            elif word == "resume" and (not given or (refusal := self._digits.refusal(given.strip()))):
+                reason = f"not resumed: the line {refusal}; " if given else ""
+                self._show(f'{reason}type "resume {self._digits.drawn()}" within {ANSWER_S:g} s')
+            elif word == "resume":
+                self.submit(OperatorCommand.RESUME)
 
 
 class AutoResumeOperator(Operator):

@@ -10,6 +10,7 @@ import difflib
 import hashlib
 import importlib.util
 import inspect
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -24,8 +25,8 @@ import numpy as np
 
 from hil.errors import BadInput, one_line
 
-_of_data: dict[str, str] = {}
-"""Names of code in what was read as data in this process, and the file that names each."""
+_of_data: dict[str, tuple[str, str]] = {}
+"""Texts of what was read as data in this process, any of which may name code: path -> text, file that has it."""
 _of_user: set[str] = set()
 """Those in files, settings and arguments of the user."""
 _trusts: ContextVar[bool] = ContextVar("trusts", default=False)
@@ -34,13 +35,13 @@ _REASONS: Final = r"Unknown attribute|Invalid use|No implementation|Cannot|Use o
 
 def note_data(source: str, content: Any) -> None:
     """Note the names of code in ``content``, texts in lists and tables, which the file ``source`` has as data."""
-    for name in _names_of(content):
-        _of_data.setdefault(name, source)
+    for name in _texts_of(content):
+        _of_data.setdefault(_path_of(name), (name, source))
 
 
 def note_users(content: Any) -> None:
     """Note the names of code in ``content``, texts in lists and tables, which the user gives."""
-    _of_user.update(_names_of(content))
+    _of_user.update(_texts_of(content))
 
 
 @contextmanager
@@ -53,37 +54,42 @@ def trusting(trusts: bool) -> Iterator[None]:
         _trusts.reset(token)
 
 
-def require_trust(name: str, refuse: Callable[[str], BadInput]) -> None:
-    """Raise BadInput, by ``refuse``, if only data names this code and the user does not trust it; print it if so.
+def require_trust(name: str, refuse: Callable[[str], Exception]) -> None:
+    """Raise what ``refuse`` makes if only data names this code and the user does not trust it; print it if so.
 
     name: of a file, or a module and a member, ``package:name``.
     """
-    source = _of_data.get(name)
-    if source is None or name in _of_user:
+    path = _path_of(name)
+    if path not in _of_data or path in map(_path_of, _of_user):
         return
-    path = Path(name)
-    if not path.is_absolute():
+    given, source = _of_data[path]
+    if not Path(given).is_absolute():
         raise refuse(f"is code that {source} names, not by an absolute path: never loaded, name it yourself")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "none: no such file"
+    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest() if Path(path).is_file() else "none: no such file"
     if not _trusts.get():
         way = "if you trust it, --trust-code (Python: trust_code=True), or name it yourself"
         raise refuse(f"is code that {source} names (sha256 {digest[:16]}): not loaded; {way}")
     print(f"loads {name}, named by {source}, sha256 {digest}", file=sys.stderr)  # noqa: T201
 
 
-def _names_of(content: Any) -> Iterator[str]:
-    """Yield each text that may name code, and the file in it."""
+def _path_of(name: str) -> str:
+    """Return the path that ``name`` leads to, through links and however it is written; of a module one as unique."""
+    return os.path.realpath(name) if "\0" not in name else name
+
+
+def _texts_of(content: Any) -> Iterator[str]:
+    """Yield each text in ``content``, and what it has before its last colon, the file of ``file.py:name``."""
     if isinstance(content, Mapping):
         content = content.values()
     elif isinstance(content, str):
-        if re.search(r"\.so$|\.fmu$|:", content):
-            yield content
-            yield content.rpartition(":")[0] or content
+        yield content
+        if before := content.rpartition(":")[0]:
+            yield before
         return
     elif not isinstance(content, list | tuple):
         return
     for each in content:
-        yield from _names_of(each)
+        yield from _texts_of(each)
 
 
 def module_of_file(path: str, refuse: Callable[[str], BadInput]) -> ModuleType:

@@ -16,6 +16,7 @@ import errno
 import fcntl
 import os
 import re
+import resource
 import shutil
 import stat
 import tempfile
@@ -35,6 +36,7 @@ _ATTEMPTS: Final = 3
 _PLACES: Final = ("/tmp", "/var/tmp", "/dev/shm")
 _NAME: Final = re.compile(r"hil-(\d+)-(\d+)-([0-9a-f]{8})-.*")
 _KEPT_S: Final = 10 * 86_400.0  # a folder of another boot or container, whose processes cannot be seen
+_NO_MEMORY: Final = re.compile("failed to map segment|[Cc]annot allocate memory|Unable to allocate")
 _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
@@ -74,6 +76,25 @@ def why_unsafe(status: os.stat_result) -> str:
         return f"belongs to another user (uid {status.st_uid})"
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not stat.S_ISLNK(status.st_mode):
         return f"can be written by other users (mode {stat.S_IMODE(status.st_mode):o})"
+    return ""
+
+
+def host_limit(error: BaseException | None) -> str:
+    """Return which limit of this host ``error`` or its cause met, and what to do; "" for any other error."""
+    while error is not None:
+        number, text = getattr(error, "errno", None), str(error)
+        if number in (errno.EMFILE, errno.ENFILE):
+            most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+            return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
+        if isinstance(error, FileNotFoundError) and error.filename is None:
+            return "host: the working directory has been removed: change to another one"
+        if "can't start new thread" in text or number == errno.EAGAIN:
+            return "host: no further thread or process can be started: raise the limits, ulimit -u and -v"
+        if isinstance(error, MemoryError) or number == errno.ENOMEM or _NO_MEMORY.search(text):
+            return "host: this process may use no more memory: raise the limit, ulimit -v, or close other programs"
+        if number in (errno.EADDRNOTAVAIL, errno.ENETUNREACH, errno.ENETDOWN):
+            return f"host: has no such network address or route ({os.strerror(number)}): ip link set lo up, for its own"
+        error = error.__cause__ or error.__context__
     return ""
 
 

@@ -1,4 +1,5 @@
-"""Reader of gravity fields: GMAT's ``.cof`` and SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
+"""Reader of gravity fields: ICGEM's ``.gfc``, GMAT's ``.cof``, SHADR tables of the Planetary Data System (``.tab``,
+``.sha``).
 
 A file must hold every coefficient from degree 2 to the degree of its header: an incomplete field would go unnoticed
 in a run.
@@ -23,12 +24,14 @@ _BYTES_MAX = 128 * MIB  # a field of degree 1200 has 80 MiB
 _DEGREE_MAX = 2000
 _GM_TOLERANCE = 0.01  # published lunar fields differ by 1e-6
 _RADIUS_TOLERANCE = 0.02
-_KINDS = "a GMAT .cof or a PDS SHADR .tab or .sha file"
+_KINDS = "an ICGEM .gfc, a GMAT .cof, or a PDS SHADR .tab or .sha file"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
 _POTFIELD = re.compile(
     rf"POTFIELD\s*(\d{{1,3}})\s*(\d{{1,3}})\s+\d+\s+({_NUMBER})\s+({_NUMBER})(?:\s+({_NUMBER}))?\s*$"
 )
+_GFC_KEYS = (("earth_gravity_constant", "gravity_constant"), ("radius",), ("max_degree",))
+_GFC_OF_TIME = ("gfct", "trnd", "dot", "acos", "asin")
 _RECOEF = re.compile(rf"RECOEF\s*(\d{{1,3}})\s*(\d{{1,3}})\s+({_NUMBER})\s*({_NUMBER})?\s*$")
 
 
@@ -90,7 +93,7 @@ def read(path: Path) -> GravityField:
 @lru_cache(maxsize=4)
 def _read(path: Path, _changed_ns: int, _size: int) -> GravityField:
     try:
-        text = read_text(path, _BYTES_MAX, "ascii")
+        text = read_text(path, _BYTES_MAX, "latin-1" if path.suffix.lower() == ".gfc" else "ascii")
     except BadInput as error:
         raise GravityFileError(f"{error.problems[0].message}: give {_KINDS}") from error
     field = _READERS[path.suffix.lower()](text)
@@ -113,6 +116,8 @@ class _Coefficients:
             )
         if not (math.isfinite(c) and math.isfinite(s)):
             raise GravityFileError(f"line {line}: degree {n}, order {m} is not finite")
+        if not math.isnan(self.c[n, m]) and (self.c[n, m], self.s[n, m]) != (c, s):
+            raise GravityFileError(f"line {line}: degree {n}, order {m} is given twice, with other numbers")
         self.c[n, m], self.s[n, m] = c, s
 
     def field(self, gm: float, radius: float) -> GravityField:
@@ -150,7 +155,7 @@ def _read_cof(text: str) -> GravityField:
             coefficients.put(number, int(row[1]), int(row[2]), _float(row[3]), _float(row[4] or "0"))
         elif word == "END":
             break
-        elif word not in ("", "COMMENT", "C"):
+        elif word != "COMMENT" and word.strip("C"):  # GMAT's own files have a frame of C around their titles
             raise GravityFileError(f"line {number}: {word[:20]} is not a keyword of a GMAT .cof file")
     else:
         if coefficients is not None:
@@ -179,9 +184,46 @@ def _read_shadr(text: str) -> GravityField:
         if len(row) < max(4, width):
             raise GravityFileError(f"line {number}: is cut: {len(row)} numbers, the rows before have {max(4, width)}")
         coefficients.put(number, _whole(row[0], number), _whole(row[1], number), row[2], row[3])
+    _check_last_line(text, lines)
+    return coefficients.field(header[1] * 1e9, header[0] * 1e3)
+
+
+def _read_gfc(text: str) -> GravityField:
+    """ICGEM: a header of keys and values up to end_of_head; then rows gfc n, m, C, S (and sigmas)."""
+    lines = text.splitlines()
+    begin = next((number for number, line in enumerate(lines, start=1) if line.split()[:1] == ["end_of_head"]), 0)
+    if not begin:
+        raise GravityFileError("has no end_of_head line: not an ICGEM .gfc file, or cut")
+    header = {words[0]: words[1] for words in map(str.split, reversed(lines[: begin - 1])) if len(words) > 1}
+    if header.get("norm", "fully_normalized") != "fully_normalized":
+        raise GravityFileError(f"norm: the coefficients are {header['norm']}, allowed fully_normalized")
+    gm, radius, degree = (_header_number(header, names) for names in _GFC_KEYS)
+    coefficients = _Coefficients(_whole(degree, 1), _whole(degree, 1))
+    for number, line in enumerate(lines[begin:], start=begin + 1):
+        key, *words = line.split() or [""]
+        if key == "gfc" and len(words) >= 4:
+            n, m, c, s = _numbers(" ".join(words[:4]), number)
+            coefficients.put(number, _whole(n, number), _whole(m, number), c, s)
+        elif key in _GFC_OF_TIME:
+            raise GravityFileError(f"line {number}: {key}: changes with time, allowed is a static field")
+        elif key:
+            raise GravityFileError(f"line {number}: not a gfc line of degree, order, C and S")
+    _check_last_line(text, lines)
+    return coefficients.field(gm, radius)
+
+
+def _header_number(header: dict[str, str], names: tuple[str, ...]) -> float:
+    value = next((header[name] for name in names if name in header), "")
+    try:
+        return _float(value)
+    except ValueError as error:
+        raise GravityFileError(f"{names[0]}: {value[:20] or 'is missing'}: must be a number") from error
+
+
+def _check_last_line(text: str, lines: Sequence[str]) -> None:
+    """Raise GravityFileError if the last line may have lost digits."""
     if not text.endswith("\n") and len(lines) > 2 and len(lines[-1].rstrip()) < len(lines[-2].rstrip()):
         raise GravityFileError(f"line {len(lines)}: is cut: shorter than the row before, and no end of line")
-    return coefficients.field(header[1] * 1e9, header[0] * 1e3)
 
 
 def _numbers(line: str, number: int) -> list[float]:
@@ -202,4 +244,4 @@ def _float(word: str) -> float:
     return float(word.replace("D", "E").replace("d", "e"))
 
 
-_READERS = {".cof": _read_cof, ".tab": _read_shadr, ".sha": _read_shadr}
+_READERS = {".gfc": _read_gfc, ".cof": _read_cof, ".tab": _read_shadr, ".sha": _read_shadr}

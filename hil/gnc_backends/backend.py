@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.settings import Setting
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc import backend_outputs
-from hil.gnc_backends.output_texts import fault_text, raised_text, reported_fault, step_failed
+from hil.gnc_backends.output_texts import fault_text, raised_text, reported_fault, step_failed, whole_text
 
 PARTS: Final = ("navigation", "control")
 """Parts of the GNC that a backend replaces, in the order of the rows of GNC_PARAMS.settings."""
@@ -55,6 +55,11 @@ class BackendInstance:
     ) -> None:
         self.step_address, self.address = step_address, address
         self._block, self._free = block, free
+
+    @property
+    def message(self) -> bytes:
+        """Whole text of a failed step, of which its output may have the beginning alone; b"" for none."""
+        return b""
 
     def set_settings(self, values: np.ndarray) -> None:
         """Take over other values of the settings, (n,), between two cycles."""
@@ -104,8 +109,13 @@ Backends = Mapping[str, Backend]
 """Backends that are not built in, by their part."""
 
 
-def failure_of(name: str, backends: np.record, n_thrusters: int, error: BaseException | None) -> DeviceError:
-    """Return the error of the backend ``name`` that has failed. backends: BACKENDS. error: raised by its object."""
+def failure_of(
+    name: str, backends: np.record, n_thrusters: int, error: BaseException | None, message: bytes = b""
+) -> DeviceError:
+    """Return the error of the backend ``name`` that has failed.
+
+    backends: BACKENDS. error: raised by its object. message: whole text of a failed step, b"" for that of the output.
+    """
     if isinstance(error, ProtocolError):
         return error
     if error is not None:
@@ -116,7 +126,7 @@ def failure_of(name: str, backends: np.record, n_thrusters: int, error: BaseExce
     output, fault = backends[f"{part}_output"], int(backends["fault"])
     text = bytes(backends[part]["text"])
     if fault == backend_outputs.RETURNED:
-        return step_failed(name, int(backends["code"]), text)
+        return step_failed(name, int(backends["code"]), whole_text(text, message))
     if fault == backend_outputs.REPORTED:
         return reported_fault(name, text)
     cycle = int(backends["gnc_input"]["cycle"])

@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
+import sys
 from collections.abc import Callable
-from contextlib import suppress
+from importlib.machinery import ModuleSpec
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any, Final
@@ -149,10 +150,21 @@ def backend_file(name: str, part: str) -> str | None:
     if where in ("", OBJECT):
         return None
     modules = [point.module for point in entry_points(group=f"hil.{part}", name=member) if _same(point, where)]
-    with suppress(ImportError, ValueError):
-        if (spec := importlib.util.find_spec((modules or [where])[0])) is not None:
-            return spec.origin
-    return None
+    spec = _spec((modules or [where])[0])
+    return None if spec is None else spec.origin
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    """Return the specification of ``module`` without importing the packages that it is in, which data may name."""
+    spec, name, folders = None, "", None
+    for part in module.split("."):
+        name = f"{name}.{part}" if name else part
+        finders = (getattr(finder, "find_spec", None) for finder in sys.meta_path)
+        specs = (find(name, folders) for find in finders if find is not None)
+        if (spec := next((each for each in specs if each is not None), None)) is None:
+            break
+        folders = spec.submodule_search_locations
+    return spec
 
 
 def _name_of(given: object) -> str:

@@ -100,13 +100,13 @@ class OpenBackends:
     def failure(self, state: np.record) -> DeviceError:
         """Return the error of the backend that has failed. Raises KeyboardInterrupt if Ctrl-C has ended its step."""
         part = ANY_PART[int(state["failed"]) - 1]
-        instance, error = self._instances.get(part), None
+        instance, error, message = self._instances.get(part), None, b""
         if instance is not None and state["fault"] == backend_outputs.RETURNED:
-            error = instance.error
+            error, message = instance.error, instance.message
         if isinstance(error, KeyboardInterrupt):
             raise error
         self.user_error = None if isinstance(error, ProtocolError) else error
-        return failure_of(self.name(part), state, int(self.setup.n_thrusters), error)
+        return failure_of(self.name(part), state, int(self.setup.n_thrusters), error, message)
 
 
 class CompiledGnc(Approach):

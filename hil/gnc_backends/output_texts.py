@@ -27,6 +27,12 @@ def printable(text: bytes) -> str:
     return "".join(c if c.isprintable() else " " for c in plain).strip()
 
 
+def whole_text(text: bytes, message: bytes) -> bytes:
+    """Return ``message`` if the text of an output is the beginning of it, else that text."""
+    shown = text.split(b"\0")[0]
+    return message if shown and message.startswith(shown) else text
+
+
 def raised_text(method: str, error: BaseException) -> str:
     """Return what an object's ``method`` has raised, with file and line, as one line."""
     text, frames = " ".join(str(error).split()), traceback.extract_tb(error.__traceback__)

@@ -29,6 +29,9 @@ CORE: Final = Part(
         "recover": PartCommand(
             "hil.cli.recover:recover", "Restore a truncated recording in a new file; the file itself stays unchanged."
         ),
+        "vehicle": PartCommand(
+            "hil.cli.vehicle:vehicle", "Compare the vehicle of a scenario with its plan, Table III, and abort."
+        ),
         "warm-up": PartCommand(
             "hil.cli.warm_up:warm_up",
             "Compile all kernels for this computer, and print the time that each group of them takes.",
@@ -58,6 +61,7 @@ VISION: Final = Part(
             "hil.parts.vision.cli.vmu:vmu",
             "Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.",
         ),
+        "targets": PartCommand("hil.parts.vision.cli.targets:app", "Targets of the vision unit: print their sheets."),
         "calibrate": PartCommand(
             "hil.parts.vision.cli.calibrate:calibrate",
             "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.",
@@ -124,6 +128,7 @@ WIRES: Final = Part(
         "rig.kind=hardware": "hil.parts.wires.wired:wired_bench",
         "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
         "rig.kind=hardware: preflight": "hil.parts.wires.devices:hardware_checks",
+        "rig.turntable.driver=cia402: description": "hil.drivers.turntable.cia402.describe:describe",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
     check_rig="hil.parts.wires.clock:check_clock",

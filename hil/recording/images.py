@@ -16,7 +16,8 @@ from hil.core.files import parse_json
 from hil.core.image_files import decode_grey
 from hil.errors import BadInput
 from hil.recording import foxglove_images
-from hil.recording.read import Scan, directory
+from hil.recording.read import directory
+from hil.recording.scan import Scan
 
 
 @dataclass(frozen=True)

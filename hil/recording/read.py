@@ -1,24 +1,21 @@
-"""Reader of recordings: complete ones, those that broke off, and those of earlier versions.
+"""Reader of recordings: complete ones, those that broke off, were rewritten, or are of earlier versions.
 
-The file is read from start to end, so that one without an end can be read, too: its intact part is used.
+The file is read from start to end, so that one without an end can be read, too: its intact part is used, with a warning
+that names what is not.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
-import zstandard
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from pydantic import ValidationError
 
 from hil.config.rig import Rig
@@ -26,7 +23,8 @@ from hil.config.scenario import Scenario
 from hil.config.tables.model import ConfigModel
 from hil.config.tables.open_table import FileTable
 from hil.core.fields import leaf_fields, record_dtype
-from hil.core.files import MIB, check_regular, parse_json
+from hil.core.files import parse_json
+from hil.core.incomplete import note_incomplete
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.core.own_code import note_data
@@ -35,109 +33,18 @@ from hil.core.part import parts as parts_of_program
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
+from hil.recording.scan import OWN_LIBRARY, Scan
 from hil.recording.schema import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 
 log = logging.getLogger("hil")
 
-_BROKEN: Final = (
-    McapError,
-    ValueError,
-    LookupError,
-    struct.error,
-    EOFError,
-    zstandard.ZstdError,
-    MemoryError,
-    OverflowError,
-)
-"""Exceptions of the mcap package for invalid bytes."""
-_FILE_BYTES_MAX: Final = 1 << 40
-_RECORD_BYTES_MAX: Final = 64 * MIB
-_CHUNK_BYTES_MAX: Final = 8 * MIB  # unpacked; a block is closed after 1 MiB, images make it longer
-_UNPACKED_FREE: Final = 8 * MIB
-_UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
 _BATCH_ROWS: Final = 5000
 _AHEAD_ROWS: Final = 6000  # read beyond a batch: rows of other topics may be written that much later, 5 s of the rings
 _REPLAYED: Final = ("/cycle", "/vmu/frames", "/imu", schema.SENSORS)
 _NOTE_TEXTS: Final = ("message", "name", "kind")
 _NOTE_NUMBERS: Final = ("t_s", "bench_s", "cycle")
-
-
-@dataclass
-class Scan:
-    """Sequential scan of a file's records. lost_chunks: damaged and skipped; ended: the file has its end.
-
-    from_ns: blocks with earlier messages only are left out.
-    """
-
-    path: Path
-    from_ns: int = 0
-    lost_chunks: int = 0
-    ended: bool = False
-    _unpacked: int = 0
-
-    @property
-    def intact(self) -> bool:
-        return self.ended and not self.lost_chunks
-
-    def records(self) -> Iterator[McapRecord]:
-        """Yield schemas, channels, messages, attachments and metadata. Raises BadInput if the file is not MCAP."""
-        check_regular(self.path, _FILE_BYTES_MAX)
-        self._unpacked = 0
-        try:
-            with self.path.open("rb") as stream:
-                yield from self._records(StreamReader(stream, emit_chunks=True, record_size_limit=_RECORD_BYTES_MAX))
-        except OSError as error:
-            raise BadInput.single(str(self.path), "", f"cannot be read: {error.strerror}") from error
-
-    def _records(self, reader: StreamReader) -> Iterator[McapRecord]:
-        records = reader.records
-        begun = past_data = False
-        while True:
-            try:
-                record = next(records, None)
-            except _BROKEN as error:
-                if not begun:
-                    text = "not a recording: it does not start like an MCAP file"
-                    raise BadInput.single(str(self.path), "", text) from error
-                return
-            begun = True
-            if record is None:
-                self.ended = True
-                return
-            if isinstance(record, DataEnd):
-                past_data = True
-            elif isinstance(record, Chunk):
-                yield from self._messages(record)
-            elif isinstance(record, (Schema, Channel)) or not past_data:  # the index repeats those two
-                yield record
-
-    def _messages(self, chunk: Chunk) -> list[McapRecord]:
-        if chunk.message_end_time < self.from_ns:
-            return []
-        try:
-            return breakup_chunk(self._unpack(chunk), validate_crc=True)
-        except _BROKEN:
-            self.lost_chunks += 1
-            return []
-
-    def _unpack(self, chunk: Chunk) -> Chunk:
-        """Return ``chunk`` without compression; raise ValueError if it, or the file, unpacks to too much."""
-        if chunk.compression not in ("", "zstd"):
-            raise ValueError(f"compression {chunk.compression!r}")
-        self._unpacked += chunk.uncompressed_size
-        too_much = self._unpacked > _UNPACKED_FREE + _UNPACKED_RATIO * self.path.stat().st_size
-        if too_much or chunk.uncompressed_size > _CHUNK_BYTES_MAX:
-            raise ValueError(f"{chunk.uncompressed_size} bytes unpacked")
-        if chunk.compression == "":
-            return chunk
-        stated = zstandard.frame_content_size(chunk.data)  # allocated at once, whatever the limit is
-        if stated not in (-1, chunk.uncompressed_size):
-            raise ValueError(f"{stated} bytes, the block has {chunk.uncompressed_size}")
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_CHUNK_BYTES_MAX)
-        data = unpacker.decompress(chunk.data, max_output_size=max(1, chunk.uncompressed_size))
-        return replace(chunk, compression="", data=data)
 
 
 @dataclass
@@ -155,7 +62,16 @@ class Contents:
     schemas: dict[str, bytes] = field(default_factory=dict)
     records: dict[str, list[bytes]] = field(default_factory=dict)
     lines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    intact: bool = False
+    problem: str = ""
+    """What of the file is not read, and why: see ``Scan.problem``."""
+    rewritten: bool = False
+    """By another program, or by ``hil recover``."""
+    log_times: list[int] = field(default_factory=list)
+    """Times in the file of the lines of the log."""
+
+    @property
+    def intact(self) -> bool:
+        return not self.problem
 
     @property
     def version(self) -> str:
@@ -169,7 +85,7 @@ class Contents:
 def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
     """Return the content of the recording at ``path`` with its later parts; topics: the selected ones, None for all.
 
-    Raises BadInput, also for a later part alone.
+    A warning names what of the file is not read. Raises BadInput, also for a later part alone.
     """
     recording = _contents_of_part(path, topics)
     if number := recording.run.get(parts.PART):
@@ -177,6 +93,8 @@ def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
         raise BadInput.single(str(path), "", text)
     for later in parts.later_parts(path):
         _append(recording, _contents_of_part(later, topics))
+    if recording.problem:
+        note_incomplete(path, recording.problem)
     return recording
 
 
@@ -188,7 +106,11 @@ def _append(recording: Contents, later: Contents) -> None:
         recording.records.setdefault(topic, []).extend(records)
     for topic, lines in later.lines.items():
         recording.lines.setdefault(topic, []).extend(lines)
-    recording.end, recording.intact = later.end, recording.intact and later.intact
+    recording.end, recording.problem = later.end, recording.problem or later.problem
+    recording.rewritten, recording.log_times = (
+        recording.rewritten or later.rewritten,
+        recording.log_times + later.log_times,
+    )
     recording.files |= later.files
 
 
@@ -198,12 +120,14 @@ def _contents_of_part(path: Path, topics: frozenset[str] | None) -> Contents:
     for declared in channels.values():
         _add_channel(recording, declared, schemas)
     scan = Scan(path)
+    selected = {number: channel for number, channel in channels.items() if topics is None or channel.topic in topics}
     for record in scan.records():
         match record:
             case Message():
-                channel = channels.get(record.channel_id)
-                if channel and (topics is None or channel.topic in topics):
+                if (channel := selected.get(record.channel_id)) is not None:
                     _add_message(recording, channel, record)
+                elif record.channel_id not in channels:
+                    scan.damaged += 1
             case Metadata(name=writer.RUN):
                 recording.run = dict(record.metadata)
             case Metadata(name=writer.END):
@@ -214,15 +138,21 @@ def _contents_of_part(path: Path, topics: frozenset[str] | None) -> Contents:
                 pass
     if not recording.version:
         raise BadInput.single(str(path), "", f"not a recording of hil: an MCAP file without the metadata {writer.RUN}")
-    recording.intact = scan.intact
+    recording.problem = scan.problem
+    end_at = (recording.end or {}).get(writer.POSITION)
+    moved = end_at is not None and scan.positions[writer.END] != int(end_at)
+    recording.rewritten = moved or not scan.library.startswith(OWN_LIBRARY)
     return recording
 
 
 def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
     """Return schemas and channels by their numbers, also if the block that first defined them is damaged."""
+    scan = Scan(path)
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    for record in Scan(path).records():
+    for record in scan.records():
+        if scan.index is not None and scan.index.has_channels:
+            return scan.index.schemas, scan.index.channels
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -249,6 +179,8 @@ def _add_message(recording: Contents, channel: Channel, message: Message) -> Non
         recording.records[channel.topic].append(message.data)
     elif channel.message_encoding == "json":
         recording.lines[channel.topic].append(_table(recording.path, channel.topic, message.data))
+        if channel.topic == foxglove.LOG_TOPIC:
+            recording.log_times.append(message.log_time)
 
 
 def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
@@ -307,6 +239,8 @@ class Recorded:
     """Dotted names of the fields of CYCLE that the recording lacks."""
     of_parts: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Rows that parts have recorded, (k,) of their records, by the names of their sinks; empty if they have none."""
+    rewritten: bool = False
+    """By another program, in any order of the topics: ``row_batches`` does not go with it."""
 
     def as_batch(self) -> RowBatch:
         """Return all rows as one batch."""
@@ -338,7 +272,7 @@ def _recorded(recording: Contents) -> Recorded:
         _model(recording, "rig.json", Rig),
         _rows(recording, "/cycle"),
         _rows(recording, "/vmu/frames"),
-        [_note(path, note) for note in recording.lines.get(foxglove.LOG_TOPIC, [])],
+        [_note(path, note) for note in ordered_log(recording)],
         _table(path, writer.SUMMARY, summary) if summary else None,
         recording.intact,
         recording.files,
@@ -349,7 +283,23 @@ def _recorded(recording: Contents) -> Recorded:
         _rows(recording, schema.SENSORS),
         _absent(recording, "/cycle"),
         {name: _rows(recording, sink.topic) for name, sink in part_sinks().items() if sink.topic},
+        recording.rewritten,
     )
+
+
+def ordered_log(recording: Contents) -> list[dict[str, Any]]:
+    """Return the lines of the log in the order of their numbers, if the file has them in that of their times.
+
+    Programs that rewrite a file sort its messages by time, and lines from before and after a run have that of its
+    start. Lines that are in neither order, or whose time in the file is not that of the line, stay as they are.
+    """
+    lines = recording.lines.get(foxglove.LOG_TOPIC, [])
+    numbers, times = [line.get("number") for line in lines], recording.log_times
+    if not all(isinstance(number, int) for number in numbers):
+        return lines
+    begin = {time - round(max(line.get("t_s") or 0.0, 0.0) * 1e9) for time, line in zip(times, lines, strict=True)}
+    keys = list(zip(times, numbers, strict=True))
+    return sorted(lines, key=lambda line: line["number"]) if len(begin) == 1 and keys == sorted(keys) else lines
 
 
 def _missing_parts(recording: Contents) -> Iterator[str]:
@@ -443,6 +393,13 @@ def _rows(recording: Contents, topic: str) -> np.ndarray:
     dtype = record_dtype(schema.records()[topic][1])
     if topic not in recording.layouts:
         return np.zeros(0, dtype)
+    rows = _as_recorded(recording, topic, dtype)
+    if recording.rewritten:
+        rows = rows[np.argsort(rows["cycle" if "cycle" in (dtype.names or ()) else "t_s"], kind="stable")]
+    return rows
+
+
+def _as_recorded(recording: Contents, topic: str, dtype: np.dtype) -> np.ndarray:
     recorded, today = recording.layouts[topic], schema.flat_dtype(dtype)
     if recorded == today:
         return np.frombuffer(bytearray().join(recording.records[topic]), dtype)  # kernels require writable arrays

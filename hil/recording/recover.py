@@ -10,17 +10,21 @@ from mcap.records import Attachment, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
 from hil.errors import BadInput
-from hil.recording.read import Scan, directory
+from hil.recording.read import directory
+from hil.recording.scan import Scan
 from hil.recording.writer import BlockFile
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """Result of a recovery. out: the new file, None if the old one is intact. length_s: first to last message."""
+    """Result of a recovery. out: the new file, None if the old one is intact. length_s: first to last message.
+
+    problem: what of the old file is not in it, and why.
+    """
 
     out: Path | None
     messages: int
-    lost_chunks: int
+    problem: str
     length_s: float
 
 
@@ -43,13 +47,13 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     if file.problem:
         out.unlink()
         raise BadInput.single("--out", "", f"{out}: {file.problem}")
-    return Recovered(out, counted.messages, counted.lost_chunks, counted.length_s)
+    return Recovered(out, counted.messages, counted.problem, counted.length_s)
 
 
 def _count(scan: Scan) -> Recovered:
     times = [record.log_time for record in scan.records() if isinstance(record, Message)]
     length_s = (max(times) - min(times)) * 1e-9 if times else 0.0
-    return Recovered(None, len(times), scan.lost_chunks, length_s)
+    return Recovered(None, len(times), scan.problem, length_s)
 
 
 def _copy(path: Path, file: BlockFile) -> None:

@@ -16,7 +16,9 @@ from typing import IO, Final, cast
 from mcap.writer import CompressionType, Writer
 
 from hil.core.messages import CYCLE
+from hil.recording.content_digest import ContentDigest
 from hil.recording.run_messages import SLACK_S, MessageSchema, RunMessages
+from hil.recording.scan import OWN_LIBRARY
 
 _SYNC_EVERY_S: Final = 1.0
 
@@ -106,6 +108,9 @@ FLUSH_S: Final = 0.1
 RUN, END, SUMMARY = "hil.run", "hil.end", "summary.json"
 """Names of the metadata at the start and at the end, and of the attachment with the run's numbers."""
 
+POSITION: Final = "position"
+"""Key of the end with its position in the file, which is another one in a file that was rewritten."""
+
 _BUFFERED_MAX: Final = 8 * 1024 * 1024  # bytes of images that arrive between cycles
 
 
@@ -140,8 +145,9 @@ class RunFile(RunMessages):
         self.path = path
         self._file = BlockFile(path)
         self._started_ns = header.started_ns
-        self._writer = Writer(cast(IO[bytes], self._file), compression=CompressionType.ZSTD)
-        self._writer.start("hil", f"hil {header.run.get('hil', '')}")
+        self._writer = Writer(cast(IO[bytes], self._file), compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer.start("hil", f"{OWN_LIBRARY}{header.run.get('hil', '')}")
+        self._content = ContentDigest()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._dropped = self._unflushed = 0
@@ -198,7 +204,7 @@ class RunFile(RunMessages):
             if summary:
                 time_ns = self._time_ns(self._last_s)
                 self._writer.add_attachment(time_ns, time_ns, SUMMARY, "application/json", summary.encode())
-            self._writer.add_metadata(END, end)
+            self._writer.add_metadata(END, end | self._content.keys | {POSITION: str(self._file.tell())})
             self._writer.finish()
         self._file.close()
         return self.stats()
@@ -223,6 +229,7 @@ class RunFile(RunMessages):
             self._dropped += 1
             return
         self._writer.add_message(self._channels[topic], time_ns, message, time_ns, sequence)
+        self._content.add(topic, time_ns, message)
         self._unflushed += 1
 
     def _time_ns(self, t_s: float, bench_s: float = math.nan) -> int:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""Of the page: no script runs, and nothing is loaded, whatever the texts in it hold."""
+
 _WIDE = 6  # columns of numbers, above which their letters are small on narrow screens
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 1150px; margin: 1.5em auto; padding: 0 1em; }
@@ -43,6 +46,7 @@ def page(title: str, body: Sequence[str]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
         f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(body)
         + "\n</main>\n</body>\n</html>\n"

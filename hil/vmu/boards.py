@@ -2,81 +2,62 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Final, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 import cv2
 import numpy as np
-from pydantic import Field, ValidationError
 
-from hil.config.tables.model import ConfigModel, Positive
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.vmu_geometry import LEGACY, OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 from hil.maths import quat
-from hil.vmu.estimators import FlatTarget, PoseEstimate
+from hil.vmu.estimators import PRINT, FlatTarget, PoseEstimate
+from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels.records import MAX_LEDS, SPOT
 from hil.vmu.pose import Solver, SolverSettings, fits_within_budget
+from hil.vmu.prints import AprilTagSettings, CharucoSettings, checked, ways_of
 
 Corners = dict[int, tuple[float, float]]
-_Settings = TypeVar("_Settings", bound=ConfigModel)
+Reader = Callable[[Any], Corners]
 
+TOO_FEW: Final = "too_few"
+NO_MATCH: Final = "rejected_no_match"
+_OK: Final = "ok"
+_AMBIGUOUS: Final = "ambiguous"
 _SHIFTED: Final = 4.5  # sigmas between the two images
 _DECISIVE: Final = 8.0  # of the score, by which one of the two tilts of a flat target is better
-_PICTURE_PX: Final = 2000
-_MARKER_PX: Final = 480
+_AWAY, _AWAY_PX = 5.5, 1.0  # sigmas and pixels by which a corner contradicts a pose
 _REACH_PX, _ACROSS = 2.0, 17  # on both sides of an edge, and samples across it
 _LEAST_CELL_PX: Final = 3.0
 _ROUNDS: Final = 4
 _CURVED_PX: Final = 80.0
 _MOST_SOLVERS: Final = 64
-
-
-class AprilTagSettings(ConfigModel):
-    """``[vmu.estimator_settings]`` of ``apriltag``."""
-
-    family: Annotated[str, Field(pattern="^(16h5|25h9|36h10|36h11)$")] = "36h11"
-    """Family of the tags."""
-    tags: Annotated[tuple[tuple[int, float, float, float], ...], Field(min_length=1)] = ((0, 0.2, 0.0, 0.0),)
-    """Each tag: number, side of the black square, m, x and y of its centre in t, m."""
-    corner_px: Positive = 0.1
-    """Error of a corner in the image, 1 sigma."""
-
-
-class CharucoSettings(ConfigModel):
-    """``[vmu.estimator_settings]`` of ``charuco``."""
-
-    dictionary: Annotated[str, Field(pattern="^[4-7]X[4-7]_(50|100|250|1000)$")] = "4X4_50"
-    """Dictionary of the markers, in OpenCV's notation."""
-    columns: Annotated[int, Field(ge=3)] = 7
-    """Squares along x_t."""
-    rows: Annotated[int, Field(ge=3)] = 5
-    """Squares along y_t."""
-    square_m: Positive = 0.04
-    """Side of a square."""
-    marker_m: Positive = 0.03
-    """Side of a marker."""
-    corner_px: Positive = 0.1
-    """Error of a corner in the image, 1 sigma."""
+_TAG: Final = 4  # corners
 
 
 class BoardEstimator:
     """Pose of a target with known corners, from both images. Up to MAX_LEDS of them are used, those far apart.
 
-    points_t: (n, 3), m, corners in t. find: corners of an image by number, px. corner_px: their error, 1 sigma.
+    points_t: (n, 3), m, corners in t. detect: what a reader needs of an image. readers: corners by number, px, for each
+    way in which the target may be printed; others: for the ways that the geometry file excludes. corner_px: error of a
+    corner, 1 sigma.
     """
 
     def __init__(
         self,
         geometry: VmuGeometry,
         points_t: Array,
-        find: Callable[[np.ndarray], Corners],
+        detect: Callable[[np.ndarray], Any],
+        readers: Sequence[Reader],
+        others: Sequence[Reader],
         corner_px: float,
         board: FlatTarget,
     ) -> None:
         self.board = board
-        self._geometry, self._points, self._find, self._variance = geometry, points_t, find, corner_px**2
+        self._geometry, self._points, self._variance = geometry, points_t, corner_px**2
+        self._detect, self._readers, self._others = detect, readers, others
+        self._pair = camera_pair(geometry)
         self._solvers: dict[tuple[int, ...], Solver] = {}
 
     def warm_up(self) -> None:
@@ -86,11 +67,32 @@ class BoardEstimator:
         self.solve(left, right, 0.0)
 
     def solve(self, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> PoseEstimate:
-        """Return the pose by the images (h, w), uint8, exposed at ``t_s``; None for a missing image."""
-        corners = [{} if image is None else self._find(image) for image in (left, right)]
+        """Return the pose by the images (h, w), uint8, exposed at ``t_s``; None for a missing image.
+
+        ``rejected_print``: the tags in view fit several ways to print them, or not the stated one but another.
+        """
+        found = [None if image is None else self._detect(image) for image in (left, right)]
+        results = self._results(found, self._readers, t_s)
+        if len(results) == 1:
+            is_doubtful = results[0].status in (NO_MATCH, TOO_FEW)
+            others = self._results(found, self._others, t_s) if is_doubtful else []
+            return PoseEstimate(t_s, PRINT) if any(other.status == _OK for other in others) else results[0]
+        possible = [result for result in results if result.status in (_OK, _AMBIGUOUS)]
+        if len(possible) == 1 and not _is_single_tag(found):
+            return possible[0]
+        rest = [result for result in results if result.status not in (NO_MATCH, TOO_FEW)]
+        return PoseEstimate(t_s, PRINT) if possible else (rest or results)[0]
+
+    def _results(self, found: Sequence[Any], readers: Sequence[Reader], t_s: float) -> list[PoseEstimate]:
+        return [self._solve([{} if image is None else read(image) for image in found], t_s) for read in readers]
+
+    def _solve(self, corners: list[Corners], t_s: float) -> PoseEstimate:
+        """Return the pose by the corners of both images, with all of which it agrees."""
         ids = self._chosen(corners)
-        if len(ids) < 4:
-            return PoseEstimate(t_s, "too_few")
+        if len(ids) < _TAG:
+            return PoseEstimate(t_s, TOO_FEW)
+        if not all(np.isfinite(list(each.values())).all() for each in corners):
+            return PoseEstimate(t_s, NO_MATCH)
         solver = self._solver(ids)
         spots, view_spots = np.full((2, MAX_LEDS), -1, np.int64), []
         for c in range(2):
@@ -109,7 +111,7 @@ class BoardEstimator:
             if (fit["spot"] == spots).all() and fit["t"][2] > 0.0 and fit["r"][2, 2] > 0.0
         ]
         if not fits:
-            return PoseEstimate(t_s, "rejected_no_match")
+            return PoseEstimate(t_s, NO_MATCH)
         fits.sort(key=lambda fit: -float(fit["score"]))
         best = fits[0]
         if np.abs(best["shift"]).max() > _SHIFTED:
@@ -118,9 +120,34 @@ class BoardEstimator:
             return PoseEstimate(t_s, "rejected_geometry_file")
         others = [fit for fit in fits[1:] if fit["score"] > best["score"] - _DECISIVE]
         if any(not np.allclose(fit["r"], best["r"], atol=1e-3) for fit in others) or not solver.is_linear(view, best):
-            return PoseEstimate(t_s, "ambiguous")
+            return PoseEstimate(t_s, _AMBIGUOUS)
+        if any(self._contradicts(c, corners[c], best) for c in range(2)):
+            return PoseEstimate(t_s, NO_MATCH)
         q_vt = quat.from_matrix(best["r"])
-        return PoseEstimate(t_s, "ok", best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
+        return PoseEstimate(t_s, _OK, best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
+
+    def _contradicts(self, camera: int, corners: Corners, fit: np.void) -> bool:
+        """Return whether a corner in the image of ``camera``, used or not, is not where the pose ``fit`` has it."""
+        if not corners:
+            return False
+        lens, to_camera = self._pair.lens[camera], self._pair.rotation[camera]
+        arms = self._points[list(corners)] @ fit["r"].T
+        at = (arms + fit["t"]) @ to_camera.T + self._pair.translation[camera]
+        if not (at[:, 2] > 0.0).all():
+            return True
+        matrix = np.array([[lens["fx"], 0.0, lens["cx"]], [0.0, lens["fy"], lens["cy"]], [0.0, 0.0, 1.0]])
+        bent = np.array([lens[name] for name in ("k1", "k2", "p1", "p2", "k3")])
+        expected = cv2.projectPoints(at, np.zeros(3), np.zeros(3), matrix, bent)[0].reshape(-1, 2)
+        slopes = np.zeros((len(at), 2, 3))
+        slopes[:, 0, 0], slopes[:, 1, 1] = lens["fx"] / at[:, 2], lens["fy"] / at[:, 2]
+        slopes[:, :, 2] = -np.array([lens["fx"], lens["fy"]]) * at[:, :2] / at[:, 2:] ** 2
+        by_turn = -np.cross(np.eye(3), arms[:, None])  # of e x arm, by e
+        motion = np.concatenate([np.broadcast_to(np.eye(3), by_turn.shape), by_turn.transpose(0, 2, 1)], axis=2)
+        jacobian = slopes @ to_camera @ motion
+        spread = jacobian @ fit["covariance"] @ jacobian.transpose(0, 2, 1) + self._variance * np.eye(2)
+        away = np.array(list(corners.values())) - expected
+        squares = (away * np.linalg.solve(spread, away[..., None])[..., 0]).sum(axis=1)
+        return bool(((squares > _AWAY**2) & (np.abs(away).max(axis=1) > _AWAY_PX)).any())
 
     def _chosen(self, corners: list[Corners]) -> tuple[int, ...]:
         """Return corners that both images show, else of the better one: each the farthest from those before."""
@@ -166,28 +193,44 @@ class BoardEstimator:
 
 def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimator:
     """Return the estimator of AprilTags. Raises BadInput."""
-    chosen = _checked(AprilTagSettings, settings)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{chosen.family.upper()}"))
-    square = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    places = [np.array([x, y]) + side * square for _, side, x, y in chosen.tags]
-    points = np.column_stack([np.concatenate(places), np.zeros(4 * len(places))])
-    number = {tag[0]: 4 * k for k, tag in enumerate(chosen.tags)}
+    chosen = checked(AprilTagSettings, settings)
+    ways = ways_of(geometry, (OFFICIAL, OPENCV), (OFFICIAL, OPENCV))
+    if len(ways) > 1 and len(chosen.tags) == 1:
+        text = 'is missing: a single tag has one pose for print = "official", as by the AprilTag library and '
+        raise BadInput.single("geometry file", "print", f'{text}hil targets print, and another one for "opencv"')
+    number = {tag[0]: _TAG * k for k, tag in enumerate(chosen.tags)}
+    dictionary = chosen.dictionary()
     cells = dictionary.markerSize + 2
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     detector = cv2.aruco.ArucoDetector(dictionary, parameters)
 
-    def find(image: np.ndarray) -> Corners:
+    def detect(image: np.ndarray) -> dict[int, Array]:
+        """Return the corners (4, 2) of each tag, in OpenCV's order; nan for a tag that is in the image twice."""
         quads, ids, _ = detector.detectMarkers(image)
-        named = zip(quads, [] if ids is None else map(int, ids.ravel()), strict=False)
-        out: Corners = {}
-        for quad, k in named:
+        found: dict[int, Array] = {}
+        for quad, k in zip(quads, [] if ids is None else map(int, ids.ravel()), strict=False):
             corners = refined(image, np.reshape(quad, (4, 2)).astype(float), cells) if k in number else None
             if corners is not None:
-                out |= {number[k] + n: (float(u), float(v)) for n, (u, v) in enumerate(corners)}
-        return out
+                found[number[k]] = np.full((4, 2), np.nan) if number[k] in found else corners
+        return found
 
-    return BoardEstimator(geometry, points, find, chosen.corner_px, _tag_board(chosen, dictionary, points))
+    def reader(shift: int) -> Callable[[dict[int, Array]], Corners]:
+        return lambda found: {
+            first + (n + shift) % _TAG: (float(u), float(v))
+            for first, corners in found.items()
+            for n, (u, v) in enumerate(corners)
+        }
+
+    readers = [reader(chosen.shift(way)) for way in ways]
+    others = [reader(chosen.shift(way)) for way in (OFFICIAL, OPENCV) if way not in ways]
+    return BoardEstimator(geometry, chosen.corners(), detect, readers, others, chosen.corner_px, chosen.board(ways[0]))
+
+
+def _is_single_tag(found: Sequence[Any]) -> bool:
+    """Return whether both images together show one tag only, which leaves open how it is printed."""
+    tags = [set(image) for image in found if isinstance(image, dict)]
+    return len(set().union(*tags)) == 1
 
 
 def refined(image: np.ndarray, corners: Array, cells: int) -> Array | None:
@@ -233,52 +276,21 @@ def refined(image: np.ndarray, corners: Array, cells: int) -> Array | None:
 
 def charuco(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimator:
     """Return the estimator of a ChArUco board. Raises BadInput."""
-    chosen = _checked(CharucoSettings, settings)
-    if chosen.marker_m >= chosen.square_m:
-        text = f"{chosen.marker_m:g}: must be below square_m, {chosen.square_m:g}"
-        raise BadInput.single("rig", "vmu.estimator_settings.marker_m", text)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{chosen.dictionary}"))
-    board = cv2.aruco.CharucoBoard((chosen.columns, chosen.rows), chosen.square_m, chosen.marker_m, dictionary)
-    width, height = chosen.columns * chosen.square_m, chosen.rows * chosen.square_m
-    points = np.array(board.getChessboardCorners(), float) - [0.5 * width, 0.5 * height, 0.0]
-    detector = cv2.aruco.CharucoDetector(board)
+    chosen = checked(CharucoSettings, settings)
+    ways = ways_of(geometry, chosen.ways, (OPENCV, LEGACY))
 
-    def find(image: np.ndarray) -> Corners:
-        corners, ids, _, _ = detector.detectBoard(image)
-        named = zip([] if ids is None else map(int, ids.ravel()), [] if corners is None else corners, strict=False)
-        return {k: (float(np.ravel(corner)[0]), float(np.ravel(corner)[1])) for k, corner in named}
+    def reader(way: str) -> Callable[[np.ndarray], Corners]:
+        detector = cv2.aruco.CharucoDetector(chosen.layout(way))
 
-    side, margin = _PICTURE_PX // max(chosen.columns, chosen.rows), _PICTURE_PX // 20
-    picture = np.asarray(board.generateImage((chosen.columns * side, chosen.rows * side), marginSize=0))
-    framed = cv2.copyMakeBorder(picture, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255)
-    frame_m = 2.0 * margin * chosen.square_m / side
-    target = FlatTarget(framed, width + frame_m, height + frame_m)
-    return BoardEstimator(geometry, points, find, chosen.corner_px, target)
+        def read(image: np.ndarray) -> Corners:
+            corners, ids, _, _ = detector.detectBoard(image)
+            named = zip([] if ids is None else map(int, ids.ravel()), [] if corners is None else corners, strict=False)
+            return {k: (float(np.ravel(corner)[0]), float(np.ravel(corner)[1])) for k, corner in named}
 
+        return read
 
-def _tag_board(settings: AprilTagSettings, dictionary: Any, points: Array) -> FlatTarget:
-    """Return the printed target of the tags, each with a white margin."""
-    sides = np.array([tag[1] for tag in settings.tags])
-    half = np.abs(points[:, :2]).max(axis=0) + 0.25 * float(sides.max())
-    per_m = _PICTURE_PX / (2.0 * float(half.max()))
-    size = [math.ceil(2.0 * float(x) * per_m) for x in half]
-    picture: np.ndarray = np.full((size[1], size[0]), 255, np.uint8)
-    middle = 0.5 * np.array(size)
-    for number, side, x, y in settings.tags:
-        marker = dictionary.generateImageMarker(number, _MARKER_PX)
-        scale = side * per_m / _MARKER_PX
-        first = (
-            middle + per_m * (np.array([x, y]) - 0.5 * side) - 0.5 + 0.5 * scale
-        )  # centre of the marker's first pixel
-        to_picture = np.array([[scale, 0.0, first[0]], [0.0, scale, first[1]]])
-        cv2.warpAffine(marker, to_picture, tuple(size), dst=picture, borderMode=cv2.BORDER_TRANSPARENT)
-    return FlatTarget(picture, size[0] / per_m, size[1] / per_m)
-
-
-def _checked(model: type[_Settings], settings: Mapping[str, Any]) -> _Settings:
-    try:
-        return model.model_validate(dict(settings), strict=False)
-    except ValidationError as error:
-        keys = [".".join(["vmu.estimator_settings", *map(str, each["loc"])]) for each in error.errors()]
-        texts = [f"{each['input']}: {each['msg']}" for each in error.errors()]
-        raise BadInput([Problem("rig", key, text) for key, text in zip(keys, texts, strict=True)]) from error
+    readers = [reader(way) for way in ways]
+    others = [reader(way) for way in chosen.ways if len(chosen.ways) > 1 and way not in ways]
+    return BoardEstimator(
+        geometry, chosen.corners(), lambda image: image, readers, others, chosen.corner_px, chosen.board(ways[0])
+    )

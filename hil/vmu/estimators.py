@@ -20,17 +20,21 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.vmu_geometry import OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.errors import BadInput, BenchError, DeviceError
 
 GROUP: Final = "hil.pose_estimators"
 LED_RING: Final = "led_ring"
+PRINT: Final = "rejected_print"
+"""Status: the target fits several ways to print it, or not the one of the geometry file."""
 _BUILT_IN: Final = {
     LED_RING: "hil.vmu.estimators:led_ring",
     "apriltag": "hil.vmu.boards:apriltag",
     "charuco": "hil.vmu.boards:charuco",
 }
+DRAWN: Final = {"apriltag": OFFICIAL, "charuco": OPENCV}
+"""Print of the target that rendered and emulated cameras draw, unless a geometry file states another."""
 _UNIT: Final = 1e-6
 _DEFINITE: Final = -1e-9  # relative to the largest eigenvalue
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from hil.core.files import check_regular, read_bytes
-from hil.core.image_files import IMAGE_BYTES, VIDEO_BYTES, decode_grey
+from hil.core.files import read_bytes
+from hil.core.image_files import IMAGE_BYTES, decode_grey
+from hil.core.video import Video
 from hil.errors import BadInput
+
+log = logging.getLogger("hil")
 
 UNREADABLE: Final = "rejected_image"
 MOST_FRAMES: Final = 100_000
@@ -28,13 +32,14 @@ _SIDES: Final = ("left", "right")
 class Pair:
     """One frame. left, right: (h, w), uint8; None if the file is missing or invalid.
 
-    unreadable: sides whose file is truncated or no image.
+    unreadable: sides whose file is truncated or no image. t_s: time of the exposure if the source has one, else None.
     """
 
     frame: int
     left: np.ndarray | None
     right: np.ndarray | None
     unreadable: tuple[str, ...] = ()
+    t_s: float | None = None
 
 
 class ImageFolder:
@@ -104,23 +109,66 @@ def names_two(source: str) -> bool:
 
 
 class StreamPairs:
-    """Stereo pairs of two streams with common exposures, frame by frame, until one of them ends.
+    """Stereo pairs of two streams with common exposures, until one of them ends.
 
     source: ``camera:L,R``, two camera numbers, or the paths of two videos, left first. Frames of both cameras are
-    grabbed as close in time as the system allows (use a common trigger). Raises BadInput if a stream cannot be opened.
+    grabbed as close in time as the system allows (use a common trigger); those of videos belong together by the times
+    in the files, ``Pair.t_s`` from the first one, and one without its partner is alone. Raises BadInput if a stream
+    cannot be opened.
     """
 
     def __init__(self, source: str) -> None:
         self.live = source.startswith(CAMERAS)
-        names = source.removeprefix(CAMERAS).split(",")
+        names = [name.strip() for name in source.removeprefix(CAMERAS).split(",")]
         if len(names) != 2:
             raise BadInput.single("SOURCE", "", f"{source}: give two streams, left and right, separated by a comma")
-        self._streams = [self._open(name.strip(), source) for name in names]
-        counts = [int(stream.get(cv2.CAP_PROP_FRAME_COUNT)) for stream in self._streams]
-        self.count = None if self.live or min(counts) <= 0 else min(counts)
+        self.count: int | None = None
         """Number of pairs, None if not known from the files."""
+        self._streams: list[Any] = []
+        if self.live:
+            self._streams = [_camera(name, source) for name in names]
+            return
+        for name in names:
+            if not Path(name).is_file():
+                raise BadInput.single("SOURCE", "", f"{name}: no such file (of {source})")
+            self._streams.append(Video(Path(name)))
+        counts = [video.count for video in self._streams]
+        self.count = None if None in counts else min(counts)
 
     def __iter__(self) -> Iterator[Pair]:
+        return self._grabbed() if self.live else self._by_time()
+
+    def _by_time(self) -> Iterator[Pair]:
+        """Yield the images of two videos whose times differ by less than half an image period."""
+        left, right = self._streams
+        rate_hz = left.rate_hz or right.rate_hz
+        if not rate_hz:
+            raise BadInput.single(str(left.path), "image rate", "is not stated, nor by the other video")
+        streams = iter(left), iter(right)
+        heads = [next(stream, None) for stream in streams]
+        zero_s = min(head.t_s for head in heads if head is not None)
+        alone = [0, 0]
+        while (first := heads[0]) is not None and (second := heads[1]) is not None:
+            apart = (second.t_s - first.t_s) * rate_hz
+            uses = apart > -0.5, apart < 0.5
+            for video, head in zip((left, right), (first, second), strict=True):
+                if head.fields:
+                    text = f"{head.fields}: the lines of an image are of two exposures: record whole images"
+                    raise BadInput.single(str(video.path), "interlaced", text)
+            t_s = (first.t_s if uses[0] else second.t_s) - zero_s
+            images = [head.image if used and head else None for head, used in zip(heads, uses, strict=True)]
+            for side, other in ((0, 1), (1, 0)):
+                alone[side] += uses[side] and not uses[other]
+            yield Pair(round(t_s * rate_hz), images[0], images[1], t_s=t_s)
+            heads = [
+                next(stream, None) if used else head for head, stream, used in zip(heads, streams, uses, strict=True)
+            ]
+        for video, number in zip((left, right), alone, strict=True):
+            if number:
+                log.warning("%s: %d images have no partner at their times in the other video", video.path, number)
+
+    def _grabbed(self) -> Iterator[Pair]:
+        """Yield the images of two cameras; both exposures are grabbed before either is decoded."""
         frame = 0
         while self._grab():
             images = [_grey(stream) for stream in self._streams]
@@ -129,31 +177,22 @@ class StreamPairs:
             frame += 1
 
     def _grab(self) -> bool:
-        """Grab both exposures before either is decoded; return whether both are present."""
         left, right = (stream.grab() for stream in self._streams)
         return bool(left and right)
 
     def close(self) -> None:
         """Release both streams. Idempotent."""
         for stream in self._streams:
-            stream.release()
+            stream.release() if self.live else stream.close()
 
-    def _open(self, name: str, source: str) -> cv2.VideoCapture:
-        if not self.live:
-            if not Path(name).is_file():
-                raise BadInput.single("SOURCE", "", f"{name}: no such file (of {source})")
-            check_regular(Path(name), VIDEO_BYTES)
-            stream = cv2.VideoCapture(name)
-        elif name.isdecimal():
-            stream = cv2.VideoCapture(int(name))
-        else:
-            raise BadInput.single(
-                "SOURCE", "", f"{source}: give both cameras by number, camera:0,1, or both by address"
-            )
-        if not stream.isOpened():
-            what = f"camera {name} cannot be opened" if self.live else f"{name}: not a readable video"
-            raise BadInput.single("SOURCE", "", what)
-        return stream
+
+def _camera(name: str, source: str) -> cv2.VideoCapture:
+    if not name.isdecimal():
+        raise BadInput.single("SOURCE", "", f"{source}: give both cameras by number, camera:0,1, or both by address")
+    stream = cv2.VideoCapture(int(name))
+    if not stream.isOpened():
+        raise BadInput.single("SOURCE", "", f"camera {name} cannot be opened")
+    return stream
 
 
 def _grey(stream: cv2.VideoCapture) -> np.ndarray | None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import random
 import select
-import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,6 +13,7 @@ import pytest
 
 from hil.parts.console.freshness import ACT_S, JOG_HOLD_S
 from tests.support.console_client import Console, Page, console
+from tests.support.tcp_relay import Relay, relay_to
 
 pytestmark = pytest.mark.wires
 COURSES = 8
@@ -22,52 +21,11 @@ STILL_M = 1e-4
 """Motion that the axis has after the end of its command, by its servo."""
 
 
-class Relay:
-    """TCP relay to ``port`` whose directions can be held: what is under way arrives when they are let go."""
-
-    def __init__(self, port: int) -> None:
-        self._to = port
-        self._open: list[socket.socket] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self.up, self.down = threading.Event(), threading.Event()
-        self.up.set()
-        self.down.set()
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                page, _ = self._listener.accept()
-                there = socket.create_connection(("127.0.0.1", self._to))
-                self._open += [page, there]
-                for source, to, passes in ((page, there, self.up), (there, page, self.down)):
-                    threading.Thread(target=self._pass, args=(source, to, passes), daemon=True).start()
-
-    def _pass(self, source: socket.socket, to: socket.socket, passes: threading.Event) -> None:
-        with suppress(OSError):
-            while data := source.recv(1 << 16):
-                passes.wait()
-                to.sendall(data)
-            to.shutdown(socket.SHUT_WR)
-
-    def close(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self.up.set()
-        self.down.set()
-        for each in self._open:
-            with suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-            each.close()
-
-
 @pytest.fixture(scope="module")
 def served() -> Iterator[tuple[Console, Relay]]:
-    with console("--scenario", "scheme-1", "--rig", "mock", "--set", "rig.console.lease_s=60") as made:
-        relay = Relay(int(made.address.rpartition(":")[2]))
+    given = ("--scenario", "scheme-1", "--rig", "mock", "--set", "rig.console.lease_s=60")
+    with console(*given) as made, relay_to(made.address) as relay:
         yield made, relay
-        relay.close()
 
 
 def page_at(served: tuple[Console, Relay], name: str) -> Page:
@@ -107,14 +65,14 @@ def test_jog_ends_and_orders_are_refused_whatever_the_network_holds(served: tupl
         while (now_s := time.monotonic()) < begin_s + held_s + after_s:
             if now_s > begin_s + held_s:
                 for each in stalls:
-                    each.clear()
+                    relay.hold(each)
             else:
                 with suppress(TimeoutError):
                     page.take(0.0)
             send(page, do="jog", axis=axis, direction=direction)
             time.sleep(0.06)
         for each in stalls:
-            each.clear()
+            relay.hold(each)
         send(page, do="release_key")
         send(page, do="order", order="home", confirmed=True)  # which moves if it is executed
         end_s = time.monotonic() + JOG_HOLD_S + 0.3  # and the braking
@@ -124,8 +82,7 @@ def test_jog_ends_and_orders_are_refused_whatever_the_network_holds(served: tupl
         healed_s = time.monotonic() + stall_s
         while time.monotonic() < healed_s + ACT_S:
             if time.monotonic() > healed_s:
-                relay.up.set()
-                relay.down.set()
+                relay.heal()
             watcher.take(1.0)
             moved = max(abs(a - b) for a, b in zip(watcher.now["rail_m"], still, strict=True))
             assert moved < STILL_M, f"course {course}: {axis} moved by {1e3 * moved:.2f} mm"
@@ -138,8 +95,8 @@ def test_stop_passes_when_the_way_back_is_held(served: tuple[Console, Relay]) ->
     relay = served[1]
     page, watcher = page_at(served, "bob"), served[0].page("second watcher")
     page.until(lambda: page.now["mode"] == "standby", "the page")
-    relay.down.clear()
+    relay.hold(relay.down)
     time.sleep(2.0)
     send(page, do="order", order="stop")
     watcher.until(lambda: not watcher.now["open"] or watcher.now["mode"] != "standby", "the stop", 10.0)
-    relay.down.set()
+    relay.heal()

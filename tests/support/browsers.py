@@ -51,7 +51,7 @@ def until(page: Any, expression: str, wall_s: float = 20.0) -> None:
 
 def ask_by(page: Any, button: str) -> None:
     """Click a button that asks the console, while the page receives: after a frame of 0.5 s it sends nothing."""
-    until(page, f"!window.hil.link.lost && (document.getElementById('{button}').click(), true)")
+    until(page, f"!window.hil.link.old && (document.getElementById('{button}').click(), true)")
 
 
 class ChromiumPage:
@@ -77,6 +77,30 @@ class ChromiumPage:
         text = {"text": key} if len(key) == 1 else {}
         self._devtools.send("Input.dispatchKeyEvent", {"type": "keyDown", **event, **text})
         self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+    def hold(self, key: str, code: str, times: int = 30) -> None:
+        """Repeat a key that was pressed before, for as long as a question needs and longer, and release it."""
+        event = {"key": key, "code": code, "windowsVirtualKeyCode": 13 if key == "Enter" else ord(code[-1])}
+        text = {"text": "\r" if key == "Enter" else key}
+        for _ in range(times):
+            down = {"type": "keyDown", "autoRepeat": True, **event, **text}
+            self._devtools.send("Input.dispatchKeyEvent", down)
+            time.sleep(0.03)
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+    def press(self, key: str) -> None:
+        """Press a key and keep it down."""
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "rawKeyDown", "key": key, "code": key})
+
+    def release(self, key: str) -> None:
+        """Release a key."""
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", "key": key, "code": key})
+
+    def second_finger(self, x: float, y: float, at_x: float, at_y: float) -> None:
+        """Tap at the second point while a finger rests on the first."""
+        first, second = {"x": x, "y": y, "id": 1}, {"x": at_x, "y": at_y, "id": 2}
+        for kind, points in (("Start", [first]), ("Start", [first, second]), ("End", [first]), ("End", [])):
+            self._devtools.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
 
     def point(self, kind: str, x: float, y: float) -> None:
         (self.page.mouse.click if kind == "mouse" else self.page.touchscreen.tap)(x, y)

@@ -75,7 +75,7 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("truth.gravity_degree=9", ("truth.gravity_degree", "9", "allowed 0 to 8")),
         ("truth.gravity_degree=-1", ("truth.gravity_degree", "-1", "0")),
         ("truth.gravity_file=nowhere.tab", ("truth.gravity_file", "nowhere.tab", "cannot be read")),
-        ("truth.gravity_file=moon.gfc", ("truth.gravity_file", "moon.gfc", ".cof", ".tab")),
+        ("truth.gravity_file=moon.grv", ("truth.gravity_file", "moon.grv", ".gfc", ".cof", ".tab")),
         ("orbit.body=pluto", ("orbit.body", "pluto", "unknown body", "earth")),
         ("orbit.body=earth", ("truth.gravity_degree", "8", "the Earth", "allowed 0 to 6")),
         ("truth.drag=true", ("truth.drag", "the Moon has no atmosphere")),

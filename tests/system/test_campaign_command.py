@@ -77,14 +77,16 @@ def test_campaign_of_one_run_is_the_first_case_of_a_long_one(alone: Path, tmp_pa
 
 
 class Deadly(LocalEngine):
-    """Kills one of its workers with -9 after the first batch."""
+    """Kills one of its workers, or the process that starts them, with -9 after the first batch."""
+
+    starter = False
 
     def run(self, spec: batch.Spec, batches: list[batch.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
         for number, done in enumerate(super().run(spec, batches)):
             if number == 0:
                 children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-                workers = [w for child in children for w in _children(int(child))]
-                os.kill(workers[0], signal.SIGKILL)
+                workers = {w: int(child) for child in children for w in _children(int(child))}
+                os.kill(min(workers.values()) if self.starter else min(workers), signal.SIGKILL)
             yield done
 
 
@@ -92,10 +94,12 @@ def _children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("starter", [False, True])
+def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path, starter: bool) -> None:
     campaign = CampaignJob(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
-    store = campaign.store(tmp_path / "c")
-    campaign.run(store, 120, Deadly(2), lambda _: None)
+    store, engine = campaign.store(tmp_path / "c"), Deadly(2)
+    engine.starter = starter
+    campaign.run(store, 120, engine, lambda _: None)
     assert_same(alone, tmp_path / "c")
 
 

@@ -14,13 +14,14 @@ from hil.cli.main import BAD_INPUT, PASSED, execute
 from hil.core import own_code
 from hil.core.own_code import note_data, note_users, require_trust
 from hil.errors import BadInput
+from hil.gnc_backends.backend_registry import backend_file
 from tests.support.example_driver import EXAMPLES
 from tests.support.external_gnc import c_example, compile_c
 from tests.support.fmu import example_fmu
 
 MARK = '__import__("pathlib").Path({!r}).touch()\n'
 C_MARK = '#include <stdio.h>\n__attribute__((constructor)) static void mark(void) {{ fclose(fopen("{}", "w")); }}\n'
-FORMS = ("controller.py", "whole.so", "part.so", "gnc.fmu", "isolated.fmu")
+FORMS = ("controller.py", "sensor.py", "whole.so", "whole", "part.so", "gnc.fmu", "isolated.fmu")
 
 
 def settings_of(form: str, folder: Path, ran: Path) -> list[str]:
@@ -29,8 +30,12 @@ def settings_of(form: str, folder: Path, ran: Path) -> list[str]:
         path = folder / form
         path.write_text((EXAMPLES / "backends" / "controller.py").read_text() + MARK.format(str(ran)))
         return [f'gnc.control.backend="{path}:DeadBand"']
+    if form == "sensor.py":
+        path = folder / form
+        path.write_text((EXAMPLES / "sensor_python" / "acme_bearing.py").read_text() + MARK.format(str(ran)))
+        return [f'sensors.bearing.kind="{path}:BearingCamera"']
     mark = C_MARK.format(ran)
-    if form == "whole.so":
+    if form in ("whole.so", "whole"):
         return [f"gnc.library={c_example(folder, form, f'{FIRST} => {mark}{FIRST}')}"]
     if form == "part.so":
         source = folder / "observer.c"
@@ -68,10 +73,11 @@ def test_code_that_a_recording_names_is_loaded_only_if_it_is_trusted(form: str, 
     ):
         hil(*command)
     assert not ran.exists()
-    named = hil("replay", str(recording), *given)
-    assert named.returncode == PASSED, named.stderr
-    assert ran.exists()
-    ran.unlink()
+    if form != "sensor.py":  # sensors cannot be changed in a replay
+        named = hil("replay", str(recording), *given)
+        assert named.returncode == PASSED, named.stderr
+        assert ran.exists()
+        ran.unlink()
     trusted = hil("replay", str(recording), "--trust-code")
     assert trusted.returncode == PASSED, trusted.stderr
     assert f"named by {recording}, sha256 " in trusted.stderr
@@ -85,11 +91,35 @@ def test_relative_names_of_data_are_never_loaded_and_those_of_the_user_are(monke
     def refuse(text: str) -> BadInput:
         return BadInput.single("gnc", "library", text)
 
-    content = json.loads('{"gnc": {"library": "own.so", "control": {"backend": "package.module:Law"}}}')
+    content = json.loads('{"gnc": {"library": "./own.so", "control": {"backend": "package.module:Law"}, "fmu": "a"}}')
     note_data("run.mcap", content)
-    for name in ("own.so", "package.module:Law"):
+    for name in ("own.so", "package.module:Law", "a"):
         with pytest.raises(BadInput, match=r"is code that run.mcap names, not by an absolute path: never loaded"):
             require_trust(name, refuse)
     note_users(["own.so"])
     require_trust("own.so", refuse)
     require_trust("other.so", refuse)
+
+
+@pytest.mark.parametrize("written", ["{0}//own", "{0}/./own", "{0}/sub/../own", "{0}/link"])
+def test_one_file_is_one_code_however_its_path_is_written(
+    written: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_code, "_of_data", {})
+    (tmp_path / "own").touch()
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "link").symlink_to("own")
+    note_data("run.mcap", {"library": written.format(tmp_path)})
+    with pytest.raises(BadInput, match=r"is code that run.mcap names \(sha256 e3b0c44298fc1c14\): not loaded"):
+        require_trust(str(tmp_path / "own"), lambda text: BadInput.single("gnc", "library", text))
+
+
+def test_digest_of_a_run_does_not_import_the_package_that_data_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "acme").mkdir()
+    (tmp_path / "acme" / "__init__.py").write_text("raise SystemExit")
+    (tmp_path / "acme" / "law.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert backend_file("acme.law:Law", "control") == str(tmp_path / "acme" / "law.py")
+    assert backend_file("acme.missing:Law", "control") is None

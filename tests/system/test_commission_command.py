@@ -202,13 +202,14 @@ def test_ctrl_c_at_a_question_ends_as_a_safe_stop() -> None:
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
         try:
-            process.stdin.write("y\n")  # to the emergency stop; the next question stays open
-            process.stdin.flush()
             told = ""
             while "Has the carriage moved" not in told:
                 letter = process.stdout.read(1)
                 assert letter, f"ended before it asked: {told} {process.stderr.read()}"
                 told += letter
+                if asked := re.search(r"\[y (\d\d) / n\]$", told):  # the emergency stop; the next question stays open
+                    process.stdin.write(f"y {asked[1]}\n")
+                    process.stdin.flush()
             time.sleep(1.0)  # longer than the drives' watchdogs: the axes are kept under command
             assert process.poll() is None
             process.send_signal(signal.SIGINT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,10 +13,11 @@ import pytest
 
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
-from tests.support.browsers import BrowserPage, ask_by, chromium, firefox, until
+from tests.support.browsers import BrowserPage, ChromiumPage, ask_by, chromium, firefox, until
 from tests.support.console_client import PATIENT, console
 from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import StubSession, stub_console
+from tests.support.tcp_relay import relay_to
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
@@ -32,6 +33,7 @@ FOCUS = ("nothing", *FIELDS, *(f"list {name}" for name in FIELDS[:3]), "settings
          "who name", "who token", *(f"confirm {order}" for order in CONFIRMED), "confirm open",
          "confirm setting")  # fmt: skip
 BUDGET_MS = 50.0
+YES_AFTER_S = 0.45
 
 SCRIPT = """
 localStorage.setItem("hil.name", "ann");
@@ -92,7 +94,7 @@ def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
             page.evaluate(f"void document.querySelector('{SETTING}').focus()")
         if name == "setting":
             page.evaluate(f"void (document.querySelector('{SETTING}').value = '0.0003')")
-            until(page, f"!window.hil.link.lost && (document.querySelector('{SETTING_BUTTON}').click(), true)")
+            until(page, f"!window.hil.link.old && (document.querySelector('{SETTING_BUTTON}').click(), true)")
     elif what == "confirm":
         if name == "open":
             page.evaluate("import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))")
@@ -216,13 +218,103 @@ def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_beh
             time.sleep(0.5)
             page.evaluate("void (window.cells.sent = [])")
             where = middle(page, "yes")
-            until(page, "!window.hil.link.lost")
+            until(page, "!window.hil.link.old")
             page.point("mouse", *where)
             until(page, "!document.getElementById('confirm').open && window.cells.sent.length === 1")
             page.point("mouse", *where)
             time.sleep(0.2)
             assert page.evaluate("window.cells.sent.map((sent) => sent[0])") == ["abort"]
     assert stub.orders == ["abort", "abort"]
+
+
+NO_ANSWER = ("held key", "held enter", "second finger")
+ANSWERS = ("key", "click", "double click", "touch", "aid", "screen reader", *NO_ANSWER)
+
+
+def answer(page: ChromiumPage, way: str) -> None:
+    """Answer yes to the question that the page asks."""
+    x, y = middle(page, "yes")
+    if way == "key":
+        page.key("y", "KeyY")
+    elif way.startswith("held"):
+        page.hold(*(("y", "KeyY") if way == "held key" else ("Enter", "Enter")))
+    elif way == "double click":
+        page.page.mouse.dblclick(x, y)
+    elif way == "second finger":
+        page.second_finger(*middle(page, "question"), x, y)
+    elif way == "aid":  # without pointer events
+        page.evaluate("void document.getElementById('yes').dispatchEvent(new MouseEvent('click', {detail: 1}))")
+    elif way == "screen reader":
+        page.evaluate("void document.getElementById('yes').click()")
+    else:
+        page.point("mouse" if way == "click" else "touch", x, y)
+
+
+def wrong_answers(cells: Iterable[tuple[str, str, bool]]) -> list[str]:
+    """Answer the question of each cell: order, way, whether later than a question needs; return what is wrong."""
+    wrong = []
+    with chromium() as page, opened(page) as stub:
+        for order, way, late in cells:
+            set_focus(page, stub, f"confirm {order}")
+            stub.orders.clear()
+            if late:
+                time.sleep(YES_AFTER_S)
+            until(page, "!window.hil.link.old")
+            answer(page, way)
+            due = [order] if late and way not in NO_ANSWER else []
+            end_s = time.monotonic() + (2.0 if due else 0.1)
+            while time.monotonic() < end_s and not (due and stub.orders):
+                page.evaluate("0")
+            time.sleep(0.1)
+            if stub.orders != due:
+                wrong.append(f"{way} to {order}, {'late' if late else 'early'}: {stub.orders}")
+    return wrong
+
+
+def test_question_is_confirmed_by_one_act_given_after_it_could_be_read() -> None:
+    assert wrong_answers(zip(itertools.cycle(CONFIRMED), ANSWERS * 2, [True] * 9 + [False] * 9)) == []
+
+
+@pytest.mark.slow
+def test_every_question_is_confirmed_by_one_act_of_each_way() -> None:
+    cells = list(itertools.product(CONFIRMED, ANSWERS, (True, False)))
+    wrong = wrong_answers(cells)
+    print(f"{len(cells)} answers, {len(wrong)} wrong")  # noqa: T201
+    assert wrong == []
+
+
+@pytest.mark.parametrize("delay_s", [0.6, 1.2, pytest.param(2.5, marks=pytest.mark.slow)])
+def test_page_shows_how_old_its_values_are_and_then_sends_halts_alone(delay_s: float) -> None:
+    with chromium() as page, stub_console() as (address, _, stub), relay_to(address) as relay:
+        page.open(f"http://127.0.0.1:{relay.port}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        ask_by(page, "take")
+        until(page, "window.hil.now.lease.mine && document.getElementById('reach').textContent === ''")
+        relay.down.delay_s = delay_s
+        until(page, f"!window.hil.link.lost && window.hil.link.age_s > {delay_s}")
+        until(page, "document.getElementById('reach').textContent.startsWith('Values are ')")
+        said = page.evaluate("document.getElementById('reach').textContent")
+        assert delay_s <= float(said.split()[2]) < delay_s + 0.6, said
+        assert looks_alive(page) == []
+        page.evaluate("void document.getElementById('order_abort').click()")
+        until(page, "/^values are .* s old: abort was not sent$/.test(document.getElementById('answer').textContent)")
+        page.key("x", "KeyX")
+        until(page, "window.cells.sent.length > 0")
+        assert page.evaluate("window.cells.sent.map((sent) => sent[0])") == ["stop"]
+        end_s = time.monotonic() + 20.0
+        while "stop" not in stub.orders:
+            assert time.monotonic() < end_s, "the order did not arrive"
+            time.sleep(0.01)
+        relay.heal()
+        until(page, "document.getElementById('reach').textContent === ''")
+
+
+def test_page_that_loads_shows_that_stop_does_not_work_yet() -> None:
+    with chromium() as page, stub_console() as (address, _, _):
+        page.page.route("**/page/*.js", lambda route: route.abort())
+        page.open(f"http://{address}/", "")
+        shown = page.evaluate("document.getElementById('reach').innerText")
+        assert shown == "This page is loading: STOP does not work yet, use the emergency stop"
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from hil.cli.main import execute
+from hil.cli.main import INCOMPLETE, execute
 from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -227,15 +227,15 @@ def test_recording_without_images_is_one_line(recorded_run: Path, capsys: pytest
 
 
 def test_truncated_recording_gives_its_complete_images(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     whole = path.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) // 4])
     capsys.readouterr()
-    assert execute(["replay", str(cut), "--vmu"]) == 0
-    first, last = capsys.readouterr().out.splitlines()
-    assert first.endswith("is truncated or damaged: its intact part is replayed")
+    assert execute(["replay", str(cut), "--vmu"]) == INCOMPLETE
+    assert f"{cut}: cut: it has no end" in caplog.text
+    (last,) = capsys.readouterr().out.splitlines()
     assert last.startswith("identical, bit by bit: the vision unit, ")
     cut.write_bytes(whole[:30_000])
     assert "has no images" in refused(capsys, "replay", str(cut), "--vmu")

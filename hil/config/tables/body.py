@@ -89,7 +89,7 @@ class CentralBody(_AstronomicalModel):
     zonal: Annotated[tuple[float, ...], Field(max_length=HIGHEST_DEGREE - 1)] = ()
     """J2, J3, ...: zonal harmonics, not normalised."""
     gravity_file: str | None = None
-    """Gravity field instead of `zonal`: GMAT .cof or PDS SHADR .tab; its gravitational parameter holds."""
+    """Gravity field instead of `zonal`: ICGEM .gfc, GMAT .cof or PDS SHADR .tab; its gravitational parameter holds."""
     sun_distance_au: Positive = 1.0
     """From the Sun: pressure of its light, and its apparent size."""
     atmosphere: Atmosphere | None = None

@@ -45,7 +45,7 @@ class Orbit(ConfigModel):
     """Central body: `moon`, `earth`, `mars`, `bennu` or a file, see [Orbits](../../explanation/orbits.md)."""
     altitude_m: Positive
     """Of the semi-major axis above the equatorial radius of the body."""
-    eccentricity: Annotated[float, Field(ge=0.0, lt=0.1)] = 0.0
+    eccentricity: Annotated[float, Field(ge=0.0, le=0.7)] = 0.0
     """Eccentricity."""
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
     """Against the body's equator."""
@@ -130,7 +130,7 @@ class Truth(ModelFmu):
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8
     """Highest degree of the body's field; 0: point mass."""
     gravity_file: str | None = None
-    """Field to use instead of the body's own, for the Moon LP165P to degree 8: GMAT .cof or PDS SHADR .tab."""
+    """Field instead of the body's own, for the Moon LP165P to degree 8: ICGEM .gfc, GMAT .cof or PDS SHADR .tab."""
     gravity_gradient: bool = True
     """Torque of the gravity gradient."""
     solar_pressure: bool = False

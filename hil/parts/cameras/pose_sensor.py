@@ -11,7 +11,7 @@ from hil.maths.random_streams import stream
 from hil.params import bench as bench_params
 from hil.parts.cameras.rendered import RenderedCameras, RenderedPoseSensor
 from hil.sensors.vision_unit import parameters as vmu_params
-from hil.vmu.estimators import PoseEstimator, board_of, make_estimator
+from hil.vmu.estimators import DRAWN, PoseEstimator, board_of, make_estimator
 from hil.vmu.geometry import geometry_of_rig, nominal_geometry
 
 
@@ -39,7 +39,11 @@ def estimator_of_unit(vmu: Vmu) -> PoseEstimator:
 
 def geometry_of_unit(vmu: Vmu) -> VmuGeometry:
     """Return the geometry that the vision unit ``vmu`` assumes for its cameras and LEDs. Raises BadInput."""
-    return nominal_geometry(vmu) if vmu.geometry_file is None else load_geometry(vmu.geometry_file).value
+    if vmu.geometry_file is not None:
+        return load_geometry(vmu.geometry_file).value
+    geometry = nominal_geometry(vmu)
+    is_drawn = vmu.driver != "cameras" and vmu.estimator in DRAWN
+    return geometry.model_copy(update={"print": DRAWN[vmu.estimator]}) if is_drawn else geometry
 
 
 def attachments(scenario: Scenario, rig: Rig) -> dict[str, str]:

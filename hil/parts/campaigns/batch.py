@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
@@ -50,6 +51,11 @@ class Spec:
     sobol: bool = False
     density: str = ""
     own: bytes = b""
+
+    @property
+    def scenario_digest(self) -> str:
+        """Digest of the scenario."""
+        return hashlib.sha256(self.scenario.encode()).hexdigest()[:16]
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float, own: OwnBackends = NO_BACKENDS) -> Spec:

@@ -7,38 +7,51 @@ submits only as many batches as keep the workers busy, so memory does not grow w
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
 import threading
+import time
+import warnings
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from functools import cache
 from itertools import islice
 from multiprocessing import parent_process
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
+from hil.core import program_digest
 from hil.core.child_process import die_with_parent
 from hil.core.surroundings import leave_process, prepare_worker_processes, remove_temporary_folders
-from hil.errors import BadInput, CampaignStopped
+from hil.errors import BadInput, CampaignStopped, one_line
 from hil.parts.campaigns.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.parts.campaigns.dispersions import case_seed
 from hil.parts.campaigns.outcome import failed_row
 
+log = logging.getLogger("hil")
+
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
 _TRIES: Final = 3  # tries of a batch whose worker dies
+_REASON: Final = 200  # characters of a worker's error in a line
 _DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
+_DEAD: Final = (BrokenProcessPool, EOFError, ConnectionError)
+"""Raised when a worker, or the process that starts them, has ended."""
 _CONNECT_S: Final = 10.0
-_ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
+_ASK_EVERY_S: Final = 2.0  # a scheduler whose computer has lost power does not close the connection
 _SILENT_S: Final = 20.0
+_PROBE_S: Final = 10.0
+_IDLE_FIRST_S, _IDLE_EACH_S, _IDLE_LAST_S = 10.0, 60.0, 600.0  # without a worker: until the first line, each, the end
 
 
 class Engine(Protocol):
@@ -102,7 +115,7 @@ class LocalEngine:
                         del under_way[batch]
                         yield batch[0], whole
             completed = True
-        except BrokenProcessPool:
+        except _DEAD:
             return sorted(under_way)
         finally:
             if not completed:  # also if the caller closes it early; work under way is not waited for
@@ -159,7 +172,7 @@ class _Isolated:
                 rows = self._pool.submit(run_batch, self._spec, first, count).result()
                 self._dead = 0
                 return rows
-            except BrokenProcessPool:
+            except _DEAD:
                 self._pool.shutdown()
                 self._pool = None
         if count > 1:
@@ -224,6 +237,27 @@ def died_row(spec: Spec, case: int) -> dict[str, Any]:
     return {"case": case, "seed": case_seed(spec.seed, case), **drawn, **failed_row(reason)}
 
 
+def run_batch_of(
+    program: dict[str, str], scenario_digest: str, spec: Spec, first: int, count: int
+) -> tuple[dict[str, str], str, Rows]:
+    """Return program, digest of the scenario, and the rows of a batch. Raises ValueError if these are others here."""
+    here = _program()
+    if (here, spec.scenario_digest) != (program, scenario_digest):
+        raise ValueError(_difference(here, program) or "another scenario")
+    return here, scenario_digest, run_batch(spec, first, count)
+
+
+_program = cache(program_digest.program)
+
+
+def _difference(program: Mapping[str, str], expected: Mapping[str, str]) -> str:
+    """Return in what a worker's ``program`` differs from the campaign's, "" if in nothing."""
+    if program["digest"] == "none":
+        return "the package hil-bench is not installed there"
+    other = [f"{key} {program[key]} (here {expected[key]})" for key in expected if program[key] != expected[key]]
+    return f"its hil {program['hil']} is another program: {', '.join(other)}" if other else ""
+
+
 class DaskEngine:
     """The workers of the Dask scheduler at ``address``; raises BadInput if there is none."""
 
@@ -234,6 +268,8 @@ class DaskEngine:
             text = "needs distributed, which is not installed: pip install 'hil-bench[campaign]'"
             raise BadInput.single("--scheduler", "", text) from error
         self._address = address
+        self._program = program_digest.program()
+        self._known: set[str] = set()
         for name in (
             "distributed",
             *logging.root.manager.loggerDict,
@@ -241,7 +277,9 @@ class DaskEngine:
             if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
-            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of versions, which are compared here
+                self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BadInput.single("--scheduler", "", f"{address}: cannot be reached: {reason}") from error
@@ -253,49 +291,101 @@ class DaskEngine:
 
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Yield first case and rows of each batch; the scheduler reassigns the batches of a lost worker."""
-        from distributed import CancelledError
+        from distributed import CancelledError, KilledWorker
         from distributed.comm.core import CommClosedError
 
         remaining = iter(batches)
         tries: dict[Batch, int] = {}
         of: dict[Any, Batch] = {}
         done: SimpleQueue[Any] = SimpleQueue()
+        digest = spec.scenario_digest
 
         def submit(batch: Batch) -> None:
-            future = self._client.submit(run_batch, spec, *batch, pure=False)
+            future = self._client.submit(run_batch_of, self._program, digest, spec, *batch, pure=False)
             of[future] = batch
             future.add_done_callback(done.put)
 
         try:
-            for batch in islice(remaining, _AHEAD * self.workers):
-                submit(batch)
-            while of:
+            self._check_workers()
+            while True:
+                for batch in islice(remaining, max(0, _AHEAD * self.workers - len(of))):
+                    submit(batch)
+                if not of:
+                    return
                 future = self._next(done)
                 batch = of.pop(future)
                 if future.status == "finished":
-                    yield batch[0], future.result()
+                    program, its_digest, rows = future.result()
+                    if (program, its_digest) != (self._program, digest):
+                        raise CampaignStopped(f"scheduler {self._address}: cases {batch[0]}.. are of another program")
+                    yield batch[0], rows
                 elif future.status in ("cancelled", "lost") or self._client.status != "running":
                     raise CommClosedError
                 else:
+                    error = future.exception()
+                    if not isinstance(error, KilledWorker):
+                        self._known.clear()
+                        self._check_workers()
                     tries[batch] = tries.get(batch, 0) + 1
                     if tries[batch] < _TRIES:
                         submit(batch)
-                        continue
-                    yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
-                if (following := next(remaining, None)) is not None:
-                    submit(following)
+                    elif isinstance(error, KilledWorker):
+                        yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
+                    else:
+                        text = f"{type(error).__name__}: {one_line(str(error), _REASON)}"
+                        raise CampaignStopped(f"scheduler {self._address}: its workers cannot run cases: {text}")
         except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
             lost = f"no answer for {_SILENT_S:g} s" if isinstance(error, TimeoutError) else "connection lost"
             text = f"scheduler {self._address}: {lost}: completed cases are kept, start it and run the command again"
             raise CampaignStopped(text) from error
 
     def _next(self, done: SimpleQueue[Any]) -> Any:
-        """Return the next future of ``done``; raise OSError if the scheduler does not answer meanwhile."""
-        while (scheduler := self._client.scheduler) is not None:
+        """Return the next future of ``done``; raise OSError if the scheduler does not answer meanwhile.
+
+        Raises CampaignStopped if a worker has another program, or there has been none for _IDLE_LAST_S.
+        """
+        idle_since_s: float | None = None
+        said_s = -math.inf
+        while self._client.scheduler is not None:
             with suppress(Empty):
                 return done.get(timeout=_ASK_EVERY_S)
-            self._client.sync(scheduler.identity, callback_timeout=_SILENT_S)
+            now_s = time.monotonic()
+            if self._check_workers():
+                idle_since_s, said_s = None, -math.inf
+                continue
+            idle_since_s = now_s if idle_since_s is None else idle_since_s
+            idle_s = now_s - idle_since_s + _ASK_EVERY_S
+            if idle_s >= _IDLE_LAST_S:
+                text = f"no worker for {_IDLE_LAST_S:g} s: completed cases are kept, start workers and run it again"
+                raise CampaignStopped(f"scheduler {self._address}: {text}")
+            if idle_s >= _IDLE_FIRST_S and now_s - said_s >= _IDLE_EACH_S:
+                said_s = now_s
+                log.warning("scheduler %s: no worker: the campaign waits, %g s at most", self._address, _IDLE_LAST_S)
         raise ConnectionError
+
+    def _check_workers(self) -> int:
+        """Return the number of workers; raise CampaignStopped if one that is new has another program.
+
+        Raises OSError if the scheduler does not answer.
+        """
+        scheduler = self._client.scheduler
+        if scheduler is None:
+            raise ConnectionError
+        present = set(self._client.sync(scheduler.identity, n_workers=-1, callback_timeout=_SILENT_S)["workers"])
+        self._known &= present
+        if new := sorted(present - self._known):
+            call = ("(exec(source), program())[1]", {"source": Path(program_digest.__file__).read_text("utf-8")})
+            try:
+                answers = self._client.sync(
+                    self._client._run, eval, *call, workers=new, on_error="ignore", callback_timeout=_PROBE_S
+                )
+            except TimeoutError:
+                return len(present)  # busy ones: each batch is checked as well
+            for worker, program in answers.items():
+                if problem := _difference(program, self._program):
+                    raise CampaignStopped(f"worker {worker} is refused: {problem}: completed cases are kept")
+            self._known |= set(answers)
+        return len(present)
 
     def close(self) -> None:
         """Disconnect from the scheduler."""

@@ -30,7 +30,7 @@ from hil.parts.campaigns.drivers import (
 )
 from hil.parts.campaigns.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 from hil.parts.campaigns.statistics import wilson
-from hil.parts.campaigns.store import MANIFEST, TABLE, parquet
+from hil.parts.campaigns.store import MANIFEST, TABLE, parquet, read_table
 from hil.report.limits import LIMITS, bound, relative_margin, sentence, shown, unit_of, words_of
 
 _START: Final = 1.0  # s, up to which a limit is broken by the start
@@ -48,7 +48,7 @@ class Cases:
     """Cases of a finished campaign in ``folder``. Raises BadInput if it holds none, or one of an earlier version."""
 
     def __init__(self, folder: Path, option: str = "hil explain") -> None:
-        pa, pq = parquet()
+        pa, _ = parquet()
         path = folder / TABLE
         self.folder = folder
         if not (folder / MANIFEST).is_file():
@@ -58,7 +58,7 @@ class Cases:
         try:
             self.identity: dict[str, Any] = parse_json(read_text(folder / MANIFEST, CONFIG_BYTES))
             check_regular(path, 1 << 40)
-            self.table = pq.read_table(path)
+            self.table = read_table(path)
         except (BadInput, OSError, ValueError, pa.ArrowException) as error:
             raise BadInput.single(option, "", f"{path}: cannot be read: {one_line(str(error), 200)}") from error
         if "first_violated" not in self.table.column_names:

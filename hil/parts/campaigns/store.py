@@ -12,12 +12,12 @@ import hashlib
 import json
 import os
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
-from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
+from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text, replaced
 from hil.core.surroundings import lock
 from hil.errors import BadInput, CampaignStopped, one_line
 from hil.parts.campaigns.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
@@ -46,6 +46,15 @@ def parquet() -> tuple[Any, Any]:
         text = "needs pyarrow, which is not installed: pip install 'hil-bench[campaign]'"
         raise BadInput.single("hil campaign", "", text) from error
     return pa, pq
+
+
+def read_table(path: Path, columns: Sequence[str] | None = None) -> Any:
+    """Return the table at ``path``, or ``columns`` of it. Raises OSError and what pyarrow raises.
+
+    Read by this thread: pyarrow waits for ever for its own where the host has no memory for them.
+    """
+    with parquet()[1].ParquetFile(path) as file:
+        return file.read(columns=columns, use_threads=False)
 
 
 class Store:
@@ -169,7 +178,7 @@ class Store:
         """Return a batch. Raises ValueError for any other rows."""
         path = self._part(first)
         check_regular(path, _PART_BYTES)
-        table = self._pq.read_table(path, use_threads=False)
+        table = read_table(path)
         carried = (table.schema.metadata or {}).get(_IDENTITY)
         if carried is None:
             raise ValueError("carries no identity")
@@ -227,7 +236,7 @@ class Store:
             if (file.schema_arrow.metadata or {}).get(_IDENTITY) != self._digest.encode():
                 raise ValueError("does not carry the identity of this campaign")
             for group in range(file.num_row_groups):
-                table = file.read_row_group(group).select(self.schema.names).cast(self.schema)
+                table = file.read_row_group(group, use_threads=False).select(self.schema.names).cast(self.schema)
                 for first in range(0, len(table), BATCH):
                     if not self._part(group * _GROUP + first).is_file():
                         self._write_part(group * _GROUP + first, table.slice(first, BATCH))
@@ -236,28 +245,21 @@ class Store:
 
     def table(self) -> Any:
         """Return the finished table, one row per case."""
-        return self._pq.read_table(self.table_path)
+        return read_table(self.table_path)
 
     def column(self, name: str) -> Any:
         """Return one column of the finished table as a numpy array; null numbers are nan."""
-        return self._pq.read_table(self.table_path, columns=[name]).column(name).to_numpy()
+        return read_table(self.table_path, [name]).column(name).to_numpy()
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path that is renamed to ``path`` at the end, or removed on an error."""
-    partial = path.with_name(f"{path.name}.part")
     try:
-        yield partial
-        with partial.open("rb") as written:
-            os.fsync(written.fileno())
-        os.replace(partial, path)
+        with replaced(path) as partial:
+            yield partial
     except OSError as error:
-        partial.unlink(missing_ok=True)
         _stop_if_full(error, path.parent)
-        raise
-    except BaseException:
-        partial.unlink(missing_ok=True)
         raise
 
 

@@ -10,7 +10,7 @@ from hil.errors import BadInput, one_line
 from hil.maths.random_streams import MixedSeed
 from hil.parts.campaigns.importance_campaign import DENSITY, read_density
 from hil.parts.campaigns.rare_campaign import PARENT, SCALE, stored_seed
-from hil.parts.campaigns.store import MANIFEST, PARTS, TABLE, parquet
+from hil.parts.campaigns.store import MANIFEST, PARTS, TABLE, parquet, read_table
 
 _OPTION = "--campaign"
 
@@ -55,13 +55,13 @@ class StoredCampaign:
 
     def _points(self) -> dict[int, tuple[int, float]]:
         """Return parent and scale of each case."""
-        pa, pq = parquet()
+        pa, _ = parquet()
         table = self._folder / TABLE
         files = [table] if table.is_file() else sorted((self._folder / PARTS).glob("*.parquet"))
         points: dict[int, tuple[int, float]] = {}
         try:
             for file in files:
-                read = pq.read_table(file, columns=["case", PARENT, SCALE])
+                read = read_table(file, ["case", PARENT, SCALE])
                 cases, parents, scales = (column.to_pylist() for column in read.columns)
                 points |= {c: (int(p), float(s)) for c, p, s in zip(cases, parents, scales, strict=True)}
         except (OSError, ValueError, TypeError, LookupError, pa.ArrowException) as error:

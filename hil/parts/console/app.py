@@ -272,7 +272,7 @@ async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -
         service.refresh(client, message.get("got"))
         if message.get("do") == "beat":
             if isinstance(message.get("sent_ms"), int | float):
-                await socket.send_text(json.dumps({"beat": message["sent_ms"]}))
+                await socket.send_text(json.dumps({"beat": message["sent_ms"], "wall_s": service.wall_s()}))
             continue
         client.acted_s = service.wall_s()
         answer = await service.execute(client, message)

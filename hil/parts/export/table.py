@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -12,6 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from hil.core.fields import leaf_fields
+from hil.core.files import replaced
 from hil.core.messages import CYCLE, CYCLE_FIELDS
 from hil.core.part import part_sinks
 from hil.errors import BadInput
@@ -32,6 +32,7 @@ TABLES: Final = {
 _OPTIONAL: Final = ("/imu", "/axes", *schema.OPTIONAL)  # most runs have none of these
 
 _CSV_ROWS: Final = 1000
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
 def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -136,12 +137,10 @@ def write_cycles(history: np.ndarray, out: Path) -> None:
 
 def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target: Path) -> None:
     """Write a table to ``target``, completely or not at all. Raises BadInput."""
-    part = target.with_name(f"{target.name}.part")
     try:
-        _write(form, table, units, part)
-        os.replace(part, target)
+        with replaced(target) as partial:
+            _write(form, table, units, partial)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
 
 
@@ -172,14 +171,24 @@ def _write(form: str, table: dict[str, Any], units: dict[str, str], path: Path) 
 
 
 def _write_csv(table: dict[str, Any], path: Path) -> None:
-    """Write the numbers with all digits; nan stays nan."""
-    lists = [values.tolist() if isinstance(values, np.ndarray) else values for values in table.values()]
+    """Write the numbers with all digits; nan stays nan.
+
+    A text that a spreadsheet would take for a formula has an apostrophe before it.
+    """
+    lists = [
+        values.tolist() if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" else map(_plain, values)
+        for values in table.values()
+    ]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(table)
+        writer.writerow(map(_plain, table))
         rows = list(zip(*lists, strict=True))
         for start in range(0, len(rows), _CSV_ROWS):
             writer.writerows(rows[start : start + _CSV_ROWS])
+
+
+def _plain(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
 def _write_parquet(table: dict[str, Any], units: dict[str, str], path: Path) -> None:

@@ -14,6 +14,8 @@ _UNPACKED_MAX: Final = 1 << 30  # bytes, of all entries
 _DESCRIPTION_MAX: Final = 64 << 20
 _NAME_MAX: Final = 400
 _BLOCK: Final = 1 << 20
+_UNIX: Final = 3  # system that has made an entry
+_EXECUTABLE: Final = stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH
 _ENCRYPTED: Final = 1  # bit of an entry's flags
 
 
@@ -77,6 +79,8 @@ class Archive:
                         if written > _UNPACKED_MAX:
                             raise FmuError(f"unpacks to more than {_UNPACKED_MAX} bytes")
                         file.write(block)
+                if entry.create_system == _UNIX and entry.external_attr >> 16 & _EXECUTABLE:
+                    path.chmod(stat.S_IMODE(path.stat().st_mode) | stat.S_IXUSR)  # a program in the resources
             except OSError as error:
                 raise FmuError(f"{entry.filename}: cannot be unpacked: {error.strerror}") from error
 

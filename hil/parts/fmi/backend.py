@@ -22,7 +22,6 @@ from hil.core.gnc_records import (
     NAVIGATION_INPUT_FIELDS,
     OUTPUT_FIELDS,
 )
-from hil.core.own_code import require_trust
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance
@@ -84,7 +83,6 @@ class FmuBackend:
         whole: GncConfig | None = None,
         own_process: Path | None = None,
     ) -> None:
-        require_trust(path, refuse)
         self.name = Path(path).name
         self.layout, self._part, self._refuse = _LAYOUTS[part], part, refuse
         self._parameters: Mapping[str, Any] = whole.fmu_parameters if whole is not None else {}
@@ -196,7 +194,7 @@ class FmuBackend:
         block = np.asarray(setup).tobytes()
         for access, variables in _by_access(self.setup).items():
             places = {variable.name: i for i, variable in enumerate(variables)}
-            values = [[0.0] * variable.size for variable in variables]
+            values = [variable.start_values for variable in variables]
             for element in self.setup:
                 if (number := places.get(element.variable.name)) is not None:
                     (value,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
@@ -219,6 +217,11 @@ class _FmuInstance(BackendInstance):
         self._backend, self._names = backend, [setting.name for setting in backend.settings]
         self._component, self._tables = backend.begin(setup, dict(zip(self._names, map(float, values), strict=False)))
         super().__init__(backend.step_address, self._tables.address, free=self._free_component)
+
+    @property
+    def message(self) -> bytes:
+        """Last message of the FMU."""
+        return self._backend.fmu.log.value
 
     def set_settings(self, values: np.ndarray) -> None:
         """Set the tunable parameters. Raises DeviceError if the FMU refuses one."""
@@ -282,7 +285,7 @@ class _Tables:
             first = 0
             for variable in variables:
                 places[variable.name] = (values, first)
-                self._start_values(values, first, variable)
+                values[first : first + variable.size] = variable.start_values  # of elements that no field has
                 first += variable.size
             self._started.append((values, values.copy()))
             function = f"{verb}{access}"
@@ -303,16 +306,6 @@ class _Tables:
         made = self._keep(np.array(calls, step.CALL)) if calls else self._keep(np.zeros(0, step.CALL))
         group.copies, group.n_copies = copies.ctypes.data, len(copies)
         group.calls, group.n_calls = made.ctypes.data, len(made)
-
-    @staticmethod
-    def _start_values(values: np.ndarray, first: int, variable: FmiVariable) -> None:
-        """Elements of an array that no field has keep their start values."""
-        for i, text in enumerate((variable.start or "").split()[: variable.size]):
-            number = {"true": 1.0, "false": 0.0}.get(text)
-            try:
-                values[first + i] = float(text) if number is None else number
-            except (ValueError, OverflowError):
-                return
 
     def _keep(self, array: np.ndarray) -> np.ndarray:
         self._kept.append(array)

@@ -10,11 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from hil.core.own_code import require_trust
 from hil.core.surroundings import temporary_folder, temporary_folder_in
 from hil.parts.fmi.archive import Archive, FmuError
 from hil.parts.fmi.description import FmiVariable, ModelDescription, parse
 
-LOG_BYTES: Final = 64
+LOG_BYTES: Final = 1024
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 """Status of a function; both versions have the same numbers up to FATAL."""
 _STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
@@ -81,6 +82,7 @@ class Fmu:
     """
 
     def __init__(self, path: Path, within: Path | None = None) -> None:
+        require_trust(str(path), FmuError)
         with Archive(path) as archive:
             self.description: ModelDescription = parse(archive.description())
             version = self.description.version
@@ -173,6 +175,8 @@ class Fmu:
             if any(whole != v for whole, v in zip(given, values, strict=True) if code[0] in "iu"):
                 raise ValueError
             block = (_TYPES[code] * len(given))(*given)
+            if code[0] in "iu" and list(block) != given:  # the types of ctypes drop the higher bits
+                raise OverflowError
         except (TypeError, ValueError, OverflowError) as error:
             raise FmuError(f"{variables[0].name}: {values[0]!r}, expected {variables[0].type}") from error
         references = (ctypes.c_uint32 * len(variables))(*(variable.reference for variable in variables))

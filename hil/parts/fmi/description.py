@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,6 +36,9 @@ _ACCESS_2: Final = {"Enumeration": "Integer"}
 _ACCESS_3: Final = {"Enumeration": "Int64"}
 
 
+_FLAGS: Final = {"true": 1.0, "false": 0.0}
+
+
 @dataclass(frozen=True)
 class FmiVariable:
     """A variable. type: name in FMI; code: numpy's of its values; access: suffix of its functions, as in fmi2SetReal.
@@ -56,6 +60,27 @@ class FmiVariable:
     @property
     def size(self) -> int:
         return math.prod(self.shape)
+
+    @property
+    def start_values(self) -> list[float]:
+        """Start value of each element; 0 for one that is not stated as a number."""
+        values = [0.0] * self.size
+        for i, text in enumerate((self.start or "").split()[: self.size]):
+            try:
+                values[i] = _FLAGS[text] if text in _FLAGS else float(text)
+            except ValueError:
+                break
+        return values
+
+    def element(self, indices: str) -> int | None:
+        """Return the number of the element with ``indices``, "2,1", from 1, last one fastest; None for no element."""
+        numbers = [int(index) - 1 if index.isdecimal() else -1 for index in indices.split(",")]
+        place = 0
+        for number, size in itertools.zip_longest(numbers, self.shape, fillvalue=-1):
+            if not 0 <= number < size:
+                return None
+            place = place * size + number
+        return place
 
 
 @dataclass(frozen=True)

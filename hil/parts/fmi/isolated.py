@@ -24,6 +24,7 @@ from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, Backend, BackendInstance, address_of
 from hil.parts.fmi.backend import FmuBackend
+from hil.parts.fmi.binary import LOG_BYTES
 
 _MODULE: Final = "hil.parts.fmi.process"
 _START_S: Final = 60.0
@@ -88,6 +89,11 @@ class _IsolatedInstance(BackendInstance):
         self._callback = C_STEP(self._step)
         super().__init__(address_of(self._callback), 1, free=lambda _: close(child))
 
+    @property
+    def message(self) -> bytes:
+        """Last message of the FMU."""
+        return self._child.message
+
     def _step(self, _instance: int, given: int, output: int) -> int:
         try:
             return self._child.step(given, output)
@@ -98,7 +104,7 @@ class _IsolatedInstance(BackendInstance):
 
 def _write_text(output: int, text: bytes) -> None:
     """Write ``text`` to the GNC_OUTPUT at the address ``output``."""
-    ctypes.memmove(output + _TEXT, text.ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+    ctypes.memmove(output + _TEXT, text[: TEXT_BYTES - 1].ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
 
 
 def open_fmu(gnc: GncConfig, refuse: Callable[[str], BadInput]) -> Backend:
@@ -122,6 +128,8 @@ class _Child:
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
         self._timeout_s = gnc.fmu_timeout_s
         self._ours.settimeout(self._timeout_s)
+        self.message = b""
+        """Last message of the FMU."""
         self.failed = False
         """Whether a step had no answer."""
         self.ready = self._answer(_START_S, "starts")
@@ -137,7 +145,8 @@ class _Child:
             self._ours.send(ctypes.string_at(given, GNC_INPUT.itemsize))
             n = self._ours.recv_into(out.data)
             if n == _CODE_BYTES:
-                _write_text(output, self._ours.recv(TEXT_BYTES))
+                self.message = self._ours.recv(LOG_BYTES)
+                _write_text(output, self.message)
                 return int(out[:_CODE_BYTES].view(np.int32)[0])
             if n:
                 ctypes.memmove(output, out.ctypes.data, GNC_OUTPUT.itemsize)

@@ -142,14 +142,24 @@ def _places(
             names = from_zero
         if not explicit and not any(name in declared for name in names):
             return []
-    places = []
-    for name in names:
-        if name not in declared:
-            raise FmuError(f"has no variable {name!r}, for {table} {field.name}")
-        if declared[name].size != 1:
-            raise FmuError(f"{name}, for {table} {field.name}: is an array, expected a number")
-        places.append((declared[name], 0))
-    return places
+    return [_element(description, name, f"{table} {field.name}") for name in names]
+
+
+def _element(description: ModelDescription, name: str, what: str) -> tuple[FmiVariable, int]:
+    """Return (variable, index) of a scalar, or of the element of an array that ``name`` names, as ``force[2]``."""
+    variable = description.variables.get(name)
+    if variable is not None:
+        if variable.shape and variable.size != 1:
+            raise FmuError(f"{name}, for {what}: is an array, expected a number, or an element as {name}[1]")
+        return variable, 0
+    base, bracket, indices = name.removesuffix("]").rpartition("[")
+    array = description.variables.get(base) if bracket and name.endswith("]") else None
+    if array is None or not array.shape:
+        raise FmuError(f"has no variable {name!r}, for {what}")
+    if (index := array.element(indices)) is None:
+        shape = " x ".join(map(str, array.shape))
+        raise FmuError(f"{name}, for {what}: {base} has {shape} elements, counted from 1")
+    return array, index
 
 
 def _from_zero(suffix: str) -> str:

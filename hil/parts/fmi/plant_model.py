@@ -88,7 +88,7 @@ class PlantModel:
     def step(self) -> np.recarray:
         """Advance by one step from ``inputs.t_s`` with ``inputs``; return ``outputs``, (1,). Raises FmuError."""
         for call in self._set:
-            call.values[:] = call.group.from_record(self._x)
+            call.put(self._x)
             call(self._fmu, self._component)
         status = self._do_step(float(self._x[0]), self._step_s)
         if status not in (OK, WARNING):
@@ -122,14 +122,21 @@ class _Group:
                 first[variable.name] = size
                 size += variable.size
         self.size = size
+        self._start = np.concatenate([variable.start_values for variable in self.variables])
         self._record = np.array([element.offset // 8 for element in elements])
         self._places = np.array([first[element.variable.name] + element.index for element in elements])
         self._factor = np.array([element.factor for element in elements])
         self._shift = np.array([element.shift for element in elements])
 
+    def name_of(self, place: int) -> tuple[str, str]:
+        """Return name and type of the variable that has the element ``place``."""
+        ends = np.cumsum([variable.size for variable in self.variables])
+        variable = self.variables[int(np.searchsorted(ends, place, side="right"))]
+        return variable.name, variable.type
+
     def from_record(self, record: np.ndarray) -> Any:
         """Return the values of the function in the FMU's units."""
-        values = np.zeros(self.size)
+        values = self._start.copy()
         values[self._places] = (record[self._record] - self._shift) / self._factor
         return values
 
@@ -159,6 +166,16 @@ class _Call:
         self._more: tuple[int, ...] = () if self._version == 2 else (group.size,)
         kinds += [ctypes.c_size_t] * len(self._more)
         self._function = ctypes.CFUNCTYPE(ctypes.c_int, *kinds)(fmu.address(self._name))
+
+    def put(self, record: np.ndarray) -> None:
+        """Take over the values of a record, 8-byte floats. Raises FmuError for one that the type cannot hold."""
+        given = self.group.from_record(record)
+        with np.errstate(invalid="ignore"):
+            self.values[:] = given
+        if self.values.dtype.kind in "iu" and (self.values != given).any():
+            place = int(np.flatnonzero(self.values != given)[0])
+            name, kind = self.group.name_of(place)
+            raise FmuError(f"{name}: {given[place]:g} is no {kind}")
 
     def __call__(self, fmu: Fmu, component: int) -> None:
         status = self._function(

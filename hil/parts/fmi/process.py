@@ -17,6 +17,7 @@ from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP, GncState
 from hil.core.messages import new
 from hil.errors import BadInput
 from hil.gnc_backends.backend import C_STEP, WHOLE, BackendInstance
+from hil.gnc_backends.output_texts import whole_text
 from hil.parts.fmi.backend import FmuBackend
 
 
@@ -53,7 +54,7 @@ class _Server:
             self._link.send(self._output.data)
         else:
             self._link.send(np.int32(code).tobytes())
-            self._link.send(self._output["text"].tobytes())
+            self._link.send(whole_text(self._output["text"].tobytes(), self._instance.message))
         return True
 
 

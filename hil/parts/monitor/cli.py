@@ -19,6 +19,7 @@ from rich.table import Table
 from hil.cli.options import File, Group, Output, within
 from hil.cli.output import commonest, write_json
 from hil.cli.progress import ProgressBar
+from hil.core.files import create
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -193,7 +194,9 @@ class _CsvFile:
             self._writer = csv.writer(sys.stdout, lineterminator="\n")
         else:
             try:
-                self._file = Path(f"{self._path}.part").open("w", encoding="utf-8", newline="")
+                partial = Path(f"{self._path}.part")
+                create(partial)
+                self._file = partial.open("w", encoding="utf-8", newline="")
             except OSError as error:
                 raise BadInput.single("--out", self._path, f"cannot be written: {error.strerror}") from error
             self._writer = csv.writer(self._file, lineterminator="\n")

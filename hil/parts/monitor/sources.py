@@ -6,7 +6,7 @@ reported before the first frame if possible, otherwise after the last good one.
 
 from __future__ import annotations
 
-import os
+import logging
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -21,12 +21,15 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded
 from hil.config.scene import Scene
-from hil.core.files import check_regular, read_bytes
-from hil.core.image_files import IMAGE_BYTES, VIDEO_BYTES, decode_grey
+from hil.core.files import read_bytes
+from hil.core.image_files import IMAGE_BYTES, decode_grey
+from hil.core.video import Video
 from hil.errors import BadInput
 
+log = logging.getLogger("hil")
+
 Image = NDArray[np.uint8]
-NumberedImage = tuple[int, Image]  # number in image periods, image
+NumberedImage = tuple[int, Image, float]  # number in image periods, image, time after that of its number, s
 
 WHOLE: Final = 0
 UPPER: Final = 1  # lines 0, 2, 4 ...
@@ -34,9 +37,9 @@ LOWER: Final = 2  # lines 1, 3, 5 ...
 
 _IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
-_RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate
+_RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
 _SAME_RATE: Final = 5e-4  # relative: a file with another rate has its own times
-_LONGEST_COUNT: Final = 1e8  # a container that states more images than this has no valid number
+_UNEVEN: Final = 0.25  # image periods by which the time of an image may be off its place
 
 
 @dataclass(frozen=True)
@@ -106,12 +109,14 @@ class Source:
             numbered = next(self._pictures, None)
 
 
-def _exposures(slot: int, image: Image, scene: Scene) -> Iterator[VideoFrame]:
-    """Yield the exposures of image number ``slot``: one, or its two fields."""
+def _exposures(slot: int, image: Image, after_s: float, scene: Scene) -> Iterator[VideoFrame]:
+    """Yield the exposures of image number ``slot``, ``after_s`` after its time: one, or its two fields."""
     halves = 1 if scene.fields == "whole" else 2
     for number in range(halves * slot, halves * (slot + 1)):
         t_s, field = exposure(scene, number)
-        yield VideoFrame(number, t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field)
+        yield VideoFrame(
+            number, t_s + after_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
+        )
 
 
 def exposures_of(image: Image, slot: int, scene: Loaded[Scene]) -> Iterator[VideoFrame]:
@@ -119,7 +124,7 @@ def exposures_of(image: Image, slot: int, scene: Loaded[Scene]) -> Iterator[Vide
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         text = f"{image.dtype} of shape {image.shape}: must be (h, w) or (h, w, 3) of uint8"
         raise BadInput.single("image", "", text)
-    return _exposures(slot, _checked(image, "image", scene), scene.value)
+    return _exposures(slot, _checked(image, "image", scene), 0.0, scene.value)
 
 
 def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = time.monotonic) -> Source:
@@ -127,9 +132,6 @@ def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = ti
 
     clock, s: of live cameras only; recorded images have times from the scene's rate.
     """
-    # suppress the decoder's own messages: one line reports the error
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     path = Path(name)
     if path.is_dir():
@@ -155,44 +157,46 @@ def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
 
 
 def _video(path: Path, scene: Loaded[Scene]) -> Source:
-    check_regular(path, VIDEO_BYTES)
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise BadInput.single(str(path), "", "not a readable video, or truncated")
-    stated = capture.get(cv2.CAP_PROP_FPS)
-    expected = scene.value.fps
-    if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _RATE_TOLERANCE * expected:
-        text = f"{stated:g} images per second: must be {expected:g}, fps of {scene.source}"
+    video, expected = Video(path), scene.value.fps
+    if video.rate_hz is not None and abs(video.rate_hz - expected) > _RATE_TOLERANCE * expected:
+        text = f"{video.rate_hz:g} images per second: must be {expected:g}, fps of {scene.source}"
         raise BadInput.single(str(path), "image rate", text)
     note = ""
-    if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _SAME_RATE * expected:
-        note = f"{stated:.6g} images per second by the file, which count; fps of {scene.source} is {expected:g}"
-        scene = replace(scene, value=scene.value.model_copy(update={"fps": stated}))
-    images = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    count = int(images) if 0.0 < images < _LONGEST_COUNT else None
-    return Source(str(path), scene.value, _video_images(capture, path, scene, count), count, note=note)
+    if video.rate_hz is not None and abs(video.rate_hz - expected) > _SAME_RATE * expected:
+        note = f"{video.rate_hz:.6g} images per second by the file, which count; fps of {scene.source} is {expected:g}"
+        scene = replace(scene, value=scene.value.model_copy(update={"fps": video.rate_hz}))
+    return Source(str(path), scene.value, _video_images(video, scene), video.count, note=note)
 
 
-def _video_images(
-    capture: cv2.VideoCapture, path: Path, scene: Loaded[Scene], count: int | None
-) -> Iterator[NumberedImage]:
-    number, slot, start = 0, -1, 0
-    try:
-        while True:
-            whole, image = capture.read()
-            if not whole:
-                break
-            # a lost image within the file leaves a gap in the times of the following ones
-            slot = max(slot + 1, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 * scene.value.fps))
-            start = slot if number == 0 else start
-            yield slot - start, _checked(image, str(path), scene)
-            number += 1
-    finally:
-        capture.release()
-    if number == 0:
-        raise BadInput.single(str(path), "", "not a readable video: contains no complete image")
-    if count is not None and number < count - 1:
-        raise BadInput.single(str(path), "", f"truncated or damaged: {number} complete images, {count} expected")
+def _video_images(video: Video, scene: Loaded[Scene]) -> Iterator[NumberedImage]:
+    """Yield images with the number of image periods elapsed: one that the file lacks leaves a gap, which is logged."""
+    start_s, previous, lost = 0.0, -1, 0
+    for number, each in enumerate(video):
+        if number == 0:
+            start_s = each.t_s
+            _check_fields(each.fields, video.path, scene)
+        periods = (each.t_s - start_s) * scene.value.fps
+        slot = max(previous + 1, round(periods))
+        if abs(periods - slot) > _UNEVEN + video.resolution_s * scene.value.fps:
+            text = (
+                f"image {number} at {each.t_s - start_s:.4f} s: must be evenly spaced, {scene.value.fps:g} per second"
+            )
+            raise BadInput.single(str(video.path), "image times", text)
+        lost += slot - previous - 1
+        previous = slot
+        after_s = each.t_s - start_s - slot / scene.value.fps
+        if abs(after_s) <= video.resolution_s:  # rounded
+            after_s = 0.0
+        yield slot, _checked(each.image, str(video.path), scene), after_s
+    if lost:
+        log.warning("%s: %d images are missing between the others: their times are left out", video.path, lost)
+
+
+def _check_fields(order: str, path: Path, scene: Loaded[Scene]) -> None:
+    """Raise BadInput if the file states another order of the half frames than the scene."""
+    if order and order != scene.value.fields:
+        text = f'"{scene.value.fields}": the video is interlaced, {order}'
+        raise BadInput.single(str(path), f"fields of {scene.source}", text)
 
 
 def _folder(path: Path, scene: Loaded[Scene]) -> Source:
@@ -223,7 +227,7 @@ def _folder_images(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Itera
         image = decode_grey(read_bytes(file, IMAGE_BYTES))
         if image is None:
             raise BadInput.single(str(file), "", "not a readable image")
-        yield slot, _checked(image, str(file), scene)
+        yield slot, _checked(image, str(file), scene), 0.0
 
 
 def _camera(index: int, scene: Loaded[Scene], clock: Callable[[], float]) -> Source:
@@ -254,6 +258,6 @@ def _camera_images(
             if slot < 0:
                 start_s = now_s
             slot = max(slot + 1, round((now_s - start_s) * scene.value.fps))
-            yield slot, _checked(image, name, scene)
+            yield slot, _checked(image, name, scene), 0.0
     finally:
         capture.release()

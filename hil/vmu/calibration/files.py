@@ -56,6 +56,8 @@ def geometry_table(
     }
     if nominal.marked_led is not None:
         table["marked_led"] = nominal.marked_led
+    if nominal.print is not None:
+        table["print"] = nominal.print
     for side, name in enumerate(SIDES):
         table[name] = camera_of(setup.theta, side, setup.sizes[side])
         if (row_time_s := getattr(nominal, name).row_time_s) is not None:

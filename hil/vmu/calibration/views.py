@@ -48,7 +48,11 @@ def read_views(source: Path) -> Views:
     if missing or unknown:
         what = f"column {missing[0]} is missing" if missing else f"unknown column {unknown[0]!r}"
         raise BadInput.single(str(table), "", f"{what}; columns: {','.join(COLUMNS)}, optional: left,right")
-    problems: list[Problem] = []
+    problems: list[Problem] = [
+        Problem(str(table), f"line {number}", f"has {len(row[None])} cells more than the header: decimal commas?")
+        for number, row in enumerate(rows, start=2)
+        if None in row
+    ]
     names, axes, images = [], [], []
     for number, row in enumerate(rows, start=2):
         name = (row["view"] or "").strip()

@@ -17,6 +17,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 from hil.core.operator_keys import OperatorKey, write_operators
+from hil.core.typed_answers import FreshDigits
 from hil.parts.commissioning.cli.commission import Terminal
 from hil.parts.commissioning.sign_off import as_toml, signed_before
 from hil.parts.commissioning.steps import AxisFindings, Findings
@@ -216,15 +217,24 @@ def test_hardware_needs_the_answers_of_a_technician(lab: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize(
-    ("typed", "answer", "times"), [("y\n", True, 1), ("No\n", False, 1), ("what\n\nyes\n", True, 3), ("", False, 1)]
+    ("typed", "answer", "times"),
+    [
+        ("y 10\n", True, 1),
+        ("No\n", False, 1),
+        ("what\n\nyes 12\n", True, 3),
+        ("", False, 1),
+        ("y\ny 10\nn\n", False, 3),
+        ("y\n" * 50, False, 20),
+    ],
 )
-def test_question_is_repeated_until_answered_and_no_terminal_counts_as_no(
+def test_question_is_repeated_until_answered_by_its_digits_and_no_terminal_counts_as_no(
     monkeypatch: pytest.MonkeyPatch, typed: str, answer: bool, times: int
 ) -> None:
     shown = io.StringIO()
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
-    assert Terminal(Console(file=shown)).ask("Is it [so]?") is answer
-    assert shown.getvalue().count("Is it [so]? [y/n]") == times
+    digits = FreshDigits(lambda: 0.0, lambda _: 0)
+    assert Terminal(Console(file=shown), digits).ask("Is it [so]?") is answer
+    assert shown.getvalue().count("Is it [so]? [y ") == times
 
 
 def test_sign_off_names_its_key_and_a_changed_or_forged_one_is_found(

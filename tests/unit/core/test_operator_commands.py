@@ -9,6 +9,7 @@ import pytest
 
 from hil.core.modes import Mode
 from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, TerminalOperator
+from hil.core.typed_answers import ANSWER_S, FreshDigits
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
@@ -78,7 +79,9 @@ def test_refused_jog_leaves_no_key_pressed() -> None:
 
 def test_operator_at_the_terminal_resumes_a_hold_by_a_typed_line_and_by_nothing_else() -> None:
     reader, writer = os.pipe()
-    operator = TerminalOperator(reader)
+    now_s, shown = [0.0], list[str]()
+    digits = FreshDigits(lambda: now_s[0], lambda _: 27)
+    operator = TerminalOperator(reader, shown.append, digits)
     operator.poll(0.0)
     assert operator.can_resume
     os.write(writer, b"resum")
@@ -87,7 +90,16 @@ def test_operator_at_the_terminal_resumes_a_hold_by_a_typed_line_and_by_nothing_
     for _ in range(40):
         operator.poll(0.2)
     assert not operator.pending
-    os.write(writer, b"resume\n")
+    os.write(writer, b"resume 36\nresume\n")  # typed before digits were shown
+    operator.poll(0.3)
+    assert not operator.pending
+    assert shown[-1] == 'type "resume 38" within 5 s'
+    now_s[0] = ANSWER_S + 0.1
+    os.write(writer, b"resume 38\n")
+    operator.poll(0.3)
+    assert not operator.pending
+    assert shown[-1].startswith("not resumed: the line came 5 s after the digits were shown, allowed 5 s; type")
+    os.write(writer, b"resume 39\nresume 39\n")
     operator.poll(0.3)
     assert list(operator.pending) == [OperatorCommand.RESUME]
     os.write(writer, b" stop \n")

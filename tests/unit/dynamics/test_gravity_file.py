@@ -1,4 +1,4 @@
-"""Gravity files: both kinds give the same field, and a damaged one is never flown."""
+"""Gravity files: all kinds give the same field, and a damaged one is never flown."""
 
 from __future__ import annotations
 
@@ -23,6 +23,20 @@ def cof_lines(gm: float = reference.GM, radius: float = reference.RADIUS_M) -> l
     return [*lines, "END"]
 
 
+def gfc_lines(gm: float = reference.GM, radius: float = reference.RADIUS_M) -> list[str]:
+    """Return the shipped field as ICGEM publishes fields, with a free text before its header."""
+    c, s = reference.coefficients()
+    lines = [
+        "a field of the Moon", "", "product_type                gravity_field", "modelname                   LP165P",
+        f"gravity_constant            {gm:.12e}".replace("e", "D"), f"radius                      {radius:.6E}",
+        "max_degree                  8", "norm                        fully_normalized",
+        "errors                      no", "tide_system                 unknown", "",
+        "key    L    M         C                  S", "end_of_head ==========================================",
+        "gfc    0    0    1.0   0.0",
+    ]  # fmt: skip
+    return lines + [f"gfc {n:4d} {m:4d} {c[n, m]:.14e} {s[n, m]:.14e}" for n in range(2, 9) for m in range(n + 1)]
+
+
 def write(path: Path, lines: list[str]) -> Path:
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
     return path
@@ -39,11 +53,20 @@ def test_shipped_field_has_the_published_numbers() -> None:
     assert np.count_nonzero(field.s) == 35
 
 
-def test_both_kinds_give_the_same_field(tmp_path: Path) -> None:
-    shipped, cof = read(reference.SHIPPED), read(write(tmp_path / "moon.cof", cof_lines()))
-    np.testing.assert_array_equal(cof.c, shipped.c)
-    np.testing.assert_array_equal(cof.s, shipped.s)
-    assert (cof.gm, cof.radius) == (shipped.gm, shipped.radius)
+# the head of GMAT's own files: LP165P.cof, JGM3.cof, Mars50c.cof
+GMAT_HEAD = [
+    "COMMENT   5", "C" * 80, f"CCCCC  {'-' * 66}  CCCCC", f"CCCCC  {'lp165p.grv : [165x165] LP165P':66}  CCCCC",
+    f"CCCCC  {'-' * 66}  CCCCC", "C" * 80,
+]  # fmt: skip
+
+
+def test_all_kinds_give_the_same_field(tmp_path: Path) -> None:
+    shipped = read(reference.SHIPPED)
+    for name, lines in (("a.cof", cof_lines()), ("b.cof", GMAT_HEAD + cof_lines()[1:]), ("c.gfc", gfc_lines())):
+        field = read(write(tmp_path / name, lines))
+        np.testing.assert_array_equal(field.c[2:], shipped.c[2:])
+        np.testing.assert_array_equal(field.s, shipped.s)
+        assert (field.gm, field.radius) == (shipped.gm, shipped.radius)
 
 
 def test_columns_of_a_high_degree_may_touch(tmp_path: Path) -> None:
@@ -79,6 +102,15 @@ def test_gmat_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
             read(path)
 
 
+def test_icgem_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
+    text = "\n".join(gfc_lines()) + "\n"
+    path = tmp_path / "cut.gfc"
+    for length in range(0, len(text) - 2, 7):
+        path.write_text(text[:length], encoding="ascii")
+        with pytest.raises(GravityFileError):
+            read(path)
+
+
 def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
     text = reference.SHIPPED.read_text(encoding="ascii")
     path = tmp_path / "cut.tab"
@@ -91,7 +123,14 @@ def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "lines", "words"),
     [
-        ("moon.gfc", ["product_type gravity_field"], "unknown format .gfc"),
+        ("moon.grv", ["product_type gravity_field"], "unknown format .grv"),
+        ("moon.gfc", ["product_type gravity_field"], "no end_of_head line"),
+        ("moon.gfc", [*gfc_lines()[:7], "norm unnormalized", *gfc_lines()[8:]], "the coefficients are unnormalized"),
+        ("moon.gfc", [*gfc_lines(), "gfct 2 0 1e-4 0.0 0 0 19500101"], "gfct: changes with time"),
+        ("moon.gfc", [*gfc_lines()[:6], *gfc_lines()[7:]], "max_degree: is missing"),
+        ("moon.gfc", [*gfc_lines(), "gfc 2 0 1e-4 0.0"], "degree 2, order 0 is given twice, with other numbers"),
+        ("moon.cof", [*cof_lines()[:3], "RECOEF    2  0   1.0E-4", *cof_lines()[3:]], "order 0 is given twice"),
+        ("earth.gfc", gfc_lines(gm=3.986e14, radius=6378137.0), "is not of the Moon"),
         ("moon.cof", ["  1738.0, 4902.8, 0, 8, 8, 1, 0, 0", "2, 0, -9e-5, 0, 0, 0"], "not a keyword of a GMAT"),
         ("moon.cof", ["COMMENT nothing else"], "no POTFIELD line"),
         ("moon.tab", cof_lines(), "line 1: not a row of numbers"),

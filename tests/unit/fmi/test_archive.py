@@ -126,3 +126,17 @@ def test_model_description_that_cannot_be_used_is_refused(text: bytes, says: str
 def test_encoding_that_the_parser_does_not_have_is_an_error_of_the_file(encoding: str) -> None:
     with pytest.raises(FmuError, match="is not XML in UTF-8 or UTF-16"):
         parse(f'<?xml version="1.0" encoding="{encoding}"?><fmiModelDescription/>'.encode())
+
+
+def test_program_in_the_resources_can_be_run_after_unpacking(tmp_path: Path) -> None:
+    path = tmp_path / "a.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, mode in (("resources/run.sh", 0o6755), ("resources/table.txt", 0o644)):
+            entry = zipfile.ZipInfo(name)
+            entry.create_system, entry.external_attr = 3, (stat.S_IFREG | mode) << 16
+            archive.writestr(entry, "x")
+    with Archive(path) as archive_:
+        archive_.unpack(tmp_path / "out")
+    modes = {file.name: stat.S_IMODE(file.stat().st_mode) for file in (tmp_path / "out" / "resources").iterdir()}
+    assert modes["run.sh"] & 0o7100 == 0o100
+    assert modes["table.txt"] & 0o7111 == 0

@@ -83,7 +83,7 @@ def test_a_truncated_video_yields_its_complete_images_then_raises(
 
 
 def test_an_image_lost_within_the_file_leaves_a_gap_in_the_times(
-    tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
+    tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
     many = 12 * pictures  # Matroska finds its way again at the next cluster, 5 s on
     path = write_video(tmp_path / "a.mkv", many)
@@ -91,9 +91,8 @@ def test_an_image_lost_within_the_file_leaves_a_gap_in_the_times(
     start = len(data) // 4
     data[start : start + 20_000] = bytes(20_000)
     path.write_bytes(data)
-    got = []
-    with pytest.raises(BadInput, match="truncated or damaged"):
-        got.extend(open_source(str(path), scene))
+    got = list(open_source(str(path), scene))
+    assert "images are missing between the others: their times are left out" in caplog.text
     right = [np.array_equal(frame.image, many[round(frame.t_s * 12.5)]) for frame in got]
     assert right.count(False) <= 1
     assert len(got) < len(many) - 2

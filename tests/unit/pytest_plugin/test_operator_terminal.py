@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -24,13 +25,14 @@ def pty() -> Iterator[tuple[int, str]]:
 
 
 def answer(descriptor: int, *lines: str) -> None:
-    """Type each of ``lines`` when a question has been shown."""
+    """Type each of ``lines`` when a question has been shown, with its digits in place of ``#``."""
 
     def typed() -> None:
         for line in lines:
-            os.read(descriptor, 1000)
-            time.sleep(0.05)
-            os.write(descriptor, f"{line}\n".encode())
+            shown = ""
+            while not (digits := re.search(r"\[y (\d\d) / n\] $", shown)):
+                shown += os.read(descriptor, 1000).decode()
+            os.write(descriptor, f"{line.replace('#', digits[1])}\n".encode())
             time.sleep(0.05)
 
     threading.Thread(target=typed, daemon=True).start()
@@ -38,7 +40,7 @@ def answer(descriptor: int, *lines: str) -> None:
 
 def test_yes_and_no_and_other_words_that_are_no_answer(pty: tuple[int, str]) -> None:
     terminal = OperatorTerminal(pty[1], "lab.toml", wait_s=10.0)
-    answer(pty[0], "maybe", "Y")
+    answer(pty[0], "maybe", "Y #")
     assert terminal.ask("Clear?")
     answer(pty[0], "no")
     assert not terminal.ask("Clear?")

@@ -20,6 +20,7 @@ from hil.core.camera_images import IMAGE_BYTES, image_row
 from hil.core.fields import record_dtype
 from hil.core.messages import CYCLE, CYCLE_FIELDS, POSE_FIELDS
 from hil.errors import BadInput
+from hil.parts.export import table as table_export
 from hil.parts.export.table import export
 from hil.recording import read, schema
 from hil.recording.read import contents, load
@@ -134,7 +135,7 @@ def test_a_damaged_block_is_left_out_and_the_rest_stands(tmp_path: Path, rng: np
     path.write_bytes(whole)
     assert 50 - 5 <= cycles_in(path) < 50
     assert not contents(path).intact
-    assert recover(path).lost_chunks == 1
+    assert recover(path).problem.startswith("damaged in 1 place: ")
 
 
 def test_damage_to_the_block_that_names_the_channels_costs_that_block_alone(
@@ -313,6 +314,12 @@ def test_notes_and_images_have_the_names_of_foxglove(tmp_path: Path) -> None:
 def test_image_beyond_its_capacity_is_refused() -> None:
     with pytest.raises(BadInput, match="left"):
         image_row("left", 0.0, bytes(IMAGE_BYTES + 1))
+
+
+def test_text_that_a_spreadsheet_would_compute_is_marked_as_text_in_csv(tmp_path: Path) -> None:
+    out = tmp_path / "log.csv"
+    table_export._write_csv({"t_s": np.array([-1.0, 2.0]), "=message": ["=1+1", "a = b"]}, out)
+    assert out.read_text().splitlines() == ["t_s,'=message", "-1.0,'=1+1", "2.0,a = b"]
 
 
 def test_csv_gives_back_the_very_numbers(recorded_run: Path, tmp_path: Path) -> None:

@@ -26,8 +26,9 @@ TAGS = {"tags": [[3, 0.16, 0.0, 0.0]]}
 LENS = {"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": 319.5, "cy": 239.5, "width": 640, "height": 480}
 
 
-def geometry() -> VmuGeometry:
+def geometry(way: str | None = "opencv") -> VmuGeometry:
     return VmuGeometry(
+        print=way,
         leds_m=((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (-0.1, 0.0, 0.0)),
         left=LENS, right=LENS, baseline_m=tuple(BASELINE_M), right_rotation_rad=tuple(RIGHT_TURN), tolerances=EXACT,
     )  # fmt: skip
@@ -40,6 +41,11 @@ def pair(estimator: Any, turn: Array, t_v: Array, rng: np.random.Generator) -> t
     right = (back * Rotation.from_rotvec(turn)).as_rotvec(), back.apply(t_v - BASELINE_M)
     images = [board_image(board.image, size, FOCAL_PX, SHAPE, *at, rng) for at in ((turn, t_v), right)]
     return images[0], images[1]
+
+
+def corners_in(estimator: BoardEstimator, image: Image) -> dict[int, tuple[float, float]]:
+    """Return the corners that the estimator finds in an image."""
+    return estimator._readers[0](estimator._detect(image))
 
 
 def error(estimate: PoseEstimate, turn: Array, t_v: Array) -> Array:
@@ -110,8 +116,8 @@ def test_emulated_cameras_draw_the_target_where_rays_have_it() -> None:
     turn, t_v = np.array([0.3, 0.2, -0.4]), np.array([0.1, 0.0, 0.9])
     renderer = BoardRenderer(camera_pair(geometry()), estimator.board, RingAppearance())
     q_vt = Rotation.from_rotvec(turn).inv().as_quat()
-    drawn = [estimator._find(renderer.image(c, t_v, q_vt, rng)) for c in range(2)]
-    rays = [estimator._find(image) for image in pair(estimator, turn, t_v, rng)]
+    drawn = [corners_in(estimator, renderer.image(c, t_v, q_vt, rng)) for c in range(2)]
+    rays = [corners_in(estimator, image) for image in pair(estimator, turn, t_v, rng)]
     for mine, theirs in zip(drawn, rays, strict=True):
         assert sorted(mine) == sorted(theirs) == [0, 1, 2, 3]
         assert np.abs(np.array([np.subtract(mine[k], theirs[k]) for k in mine])).max() < 0.15

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from hil.core.files import parse_json, read_text
+from hil.core.files import parse_json, read_text, write_text
 from hil.errors import BadInput, one_line
 from hil.parts.campaigns.campaign import write_evidence
 from hil.parts.campaigns.pytest_plugin.day_page import day_page
@@ -103,9 +103,7 @@ class Day:
 
     def _write(self) -> None:
         content = {"setups": self.setups, "tests": [test.as_json() for test in self.tests]}
-        partial = self.folder / f"{DAY_FILE}.part"
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        partial.replace(self.folder / DAY_FILE)
+        write_text(json.dumps(content, indent=1) + "\n", self.folder / DAY_FILE)
 
 
 def _suite(top: ElementTree.Element, rig: str, tests: Sequence[CampaignTest]) -> None:

@@ -7,12 +7,11 @@ import select
 import time
 from typing import Final
 
+from hil.core.typed_answers import FreshDigits, confirmed
 from hil.errors import BadInput, BenchError
 
 _ANSWER_WALL_S: Final = 600.0
 _LONGEST: Final = 256
-_YES: Final = ("y", "yes")
-_NO: Final = ("n", "no")
 
 
 class OperatorTerminal:
@@ -38,11 +37,11 @@ class OperatorTerminal:
         os.write(self._descriptor, f"{text}\r\n".encode())
 
     def ask(self, question: str) -> bool:
-        """Ask until the answer is yes or no; a closed terminal answers no. Raises BenchError without an answer."""
-        while True:
-            answer = self.line(f"{question} [y/n] ")
-            if answer is None or answer.lower() in (*_YES, *_NO):
-                return answer is not None and answer.lower() in _YES
+        """Ask until the answer is yes or no, see ``confirmed``; a closed terminal answers no.
+
+        Raises BenchError without an answer.
+        """
+        return confirmed(question, self.line, self.show, FreshDigits())
 
     def line(self, prompt: str) -> str | None:
         """Return the next line that is typed, None at the end of input. Raises BenchError without one in time.

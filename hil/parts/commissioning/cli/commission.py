@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -16,6 +16,7 @@ from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, Toml
 from hil.cli.output import base_of, chosen_axes, say
 from hil.core.files import write_text
 from hil.core.part import provided
+from hil.core.typed_answers import FreshDigits, confirmed
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from hil.config.rig import Rig
 
 _SIGNED, _FAILED = 0, 1
-_YES: Final = {"y", "yes"}
-_NO: Final = {"n", "no"}
 
 
 @dataclass(frozen=True)
@@ -201,21 +200,22 @@ def _show(console: Console) -> Callable[[str], None]:
 
 
 class Terminal:
-    """Operator at a terminal, who types yes or no."""
+    """Operator at a terminal, who types yes, with the digits of the question, or no; without standard input no."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, digits: FreshDigits | None = None) -> None:
         self._console = console
+        self._digits = FreshDigits() if digits is None else digits
 
     def show(self, text: str) -> None:
         """Print a line."""
         say(text, self._console)
 
     def ask(self, question: str) -> bool:
-        """Ask until the answer is y or n; without standard input the answer is no."""
+        """Ask until the answer is yes or no, see ``confirmed``."""
+        return confirmed(question, self._line, self.show, self._digits)
+
+    def _line(self, prompt: str) -> str | None:
+        self._console.print(prompt, end="", highlight=False, soft_wrap=True, markup=False)
         with suppress(EOFError):
-            while True:
-                self._console.print(f"{question} [y/n] ", end="", highlight=False, soft_wrap=True, markup=False)
-                answer = self._console.input().strip().lower()
-                if answer in _YES | _NO:
-                    return answer in _YES
-        return False
+            return self._console.input()
+        return None

@@ -7,6 +7,7 @@ const $ = (id) => document.getElementById(id);
 const SHELVED_S = 600;
 const JOG_MS = 60;
 const ANSWER_MS = 6000;
+const HALT_MS = 400;
 
 const YES_AFTER_MS = 400; // who has just clicked or pressed a key does not confirm by the second of a pair
 const SAME_ACT_MS = 1000; // a press of a pointer and its click
@@ -47,7 +48,7 @@ export class Controls {
     $("commission").onclick = () => this.open({ commission: true });
     $("reply_yes").onclick = () => isDeliberate(this.asked_ms) && this.reply(true);
     $("reply_no").onclick = () => this.reply(false);
-    $("second").onclick = () => this.ask({ do: "second", order: this.now.second_person.order });
+    $("second").onclick = () => isDeliberate(this.second_ms) && this.ask({ do: "second", order: this.now.second_person.order });
     $("fault_device").onchange = () => this.faultKinds();
     $("fault_kind").onchange = () => this.faultAxes();
     $("fault_on").onclick = () => this.switchFault();
@@ -75,7 +76,8 @@ export class Controls {
 
   // Send a request; if it requires confirmation, ask the operator first.
   async ask(message) {
-    if (this.link.lost) return this.notify(`no connection: ${message.order || message.do} was not sent`);
+    const why = this.link.lost ? "no connection" : `values are ${this.link.age_s.toFixed(1)} s old`;
+    if (this.link.old) return this.notify(`${why}: ${message.order || message.do} was not sent`);
     const answer = await this.link.ask(message);
     if (!answer.ask) return this.notify(answer.ok ? "" : answer.text);
     this.notify("");
@@ -94,7 +96,9 @@ export class Controls {
     if (!this.link.connected) this.notify(`no connection: ${order.toUpperCase()} was not sent, use the emergency stop`);
     const answered = this.link.ask({ do: "order", order });
     closeDialog($("confirm"));
+    const late = setTimeout(() => this.notify(`${order.toUpperCase()} is not confirmed yet: use the emergency stop`), HALT_MS);
     const answer = await answered;
+    clearTimeout(late);
     if (answer.text !== "no connection") this.notify(answer.ok ? "" : answer.text);
   }
 
@@ -128,6 +132,7 @@ export class Controls {
       if (!event.repeat) this.halt(halt);
       return;
     }
+    if (event.repeat && (event.key === "Enter" || event.key === " ")) event.preventDefault(); // a held key presses no button twice
     if (event.ctrlKey || event.altKey || event.metaKey || $("who").open) return;
     if ($("confirm").open) {
       if (event.key === "y" && !event.repeat) $("yes").click();
@@ -201,7 +206,9 @@ export class Controls {
     $("stop").disabled = $("order_hold").disabled = !open;
     const second = now.second_person;
     $("second").hidden = !second;
-    if (second) $("second").textContent = `Second person: confirm ${second.order} of ${second.by}`;
+    const awaited = second ? `Second person: confirm ${second.order} of ${second.by}` : "";
+    if ($("second").textContent !== awaited) this.second_ms = performance.now();
+    $("second").textContent = awaited;
     $("acknowledge").disabled = !mine || !(page.stop_reason || page.alarms.some((alarm) => !alarm.acknowledged));
     this.settings.show(page, mine && open);
     const jogs = mine && open && !page.commissioning && ["standby", "jogging"].includes(now.mode);

@@ -2,7 +2,7 @@
 
 import { device, proof } from "/page/keys.js";
 
-const BEAT_MS = 200, RECONNECT_MS = 1000, LOST_MS = 500, DROPPED_MS = 3000;
+const BEAT_MS = 200, BEATS = 5, RECONNECT_MS = 1000, LOST_MS = 500, OLD_S = 0.5, DROPPED_MS = 3000;
 
 export class Link {
   // on: {message(header, rows, data), required(what), opened(), refused(text), lost()}; required returns, or promises, who
@@ -16,8 +16,9 @@ export class Link {
     this.received_ms = -Infinity;
     this.sent = 0; // number of the last request that may move the bench
     this.seen_s = null; // wall_s of the newest update that is drawn: what an operator acts on
-    this.round_trip_ms = Infinity; // the longest of the last beats
-    this.round_trips = [];
+    this.beats = []; // round trip, ms, and by how much the console's clock is ahead at most, s, of the last beats
+    this.heard_ms = Infinity; // when the newest beat that was answered was sent
+    this.ahead_s = null; // the least of these: how much the console's clock is ahead
     this.page = crypto.getRandomValues(new Uint32Array(4)).join("-"); // a new connection of this page replaces a lost one
     setInterval(() => this.drop(), RECONNECT_MS);
     // key of this tab, also after a reload: the lease continues
@@ -29,9 +30,26 @@ export class Link {
     return Boolean(this.socket) && this.greeted && this.socket.readyState === WebSocket.OPEN;
   }
 
-  // Whether no message has been received for 0.5 s, also if the network fails silently.
+  // Whether no message has been received for 0.5 s, or the console has answered no beat of that time: a network may fail
+  // silently, in one direction alone.
   get lost() {
-    return performance.now() - this.received_ms > LOST_MS;
+    return performance.now() - Math.min(this.received_ms, this.heard_ms + BEAT_MS) > LOST_MS;
+  }
+
+  // Whether the values that are drawn are too old to act on.
+  get old() {
+    return this.lost || this.age_s > OLD_S;
+  }
+
+  // The longest round trip of the last beats, ms.
+  get round_trip_ms() {
+    return this.beats.length ? Math.max(...this.beats.map((beat) => beat.trip_ms)) : Infinity;
+  }
+
+  // Age of the values that are drawn, s: since the console sent them, by its beats, and at least since their reception.
+  get age_s() {
+    const received_s = this.received_ms > 0 ? (performance.now() - this.received_ms) / 1000 : 0;
+    return this.ahead_s === null ? received_s : Math.max(received_s, Date.now() / 1000 + this.ahead_s - this.seen_s);
   }
 
   open() {
@@ -67,8 +85,8 @@ export class Link {
     this.greeted = false;
     for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
     this.waiting.clear();
-    this.round_trips = [];
-    this.round_trip_ms = Infinity;
+    this.beats = [];
+    this.heard_ms = Infinity;
     this.on.lost();
   }
 
@@ -93,7 +111,7 @@ export class Link {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.challenge) this.greet(message);
-      else if (message.beat) this.beaten(message.beat);
+      else if (message.beat) this.beaten(message);
       else if (message.refused) this.on.refused(message.refused);
       else this.answered(message);
       return;
@@ -104,6 +122,7 @@ export class Link {
     // sent here and not by a timer: timers of a background page are throttled
     if (now - this.beat_ms > BEAT_MS) {
       this.beat_ms = now;
+      if (this.heard_ms === Infinity) this.heard_ms = now; // the first
       this.socket.send(JSON.stringify({ do: "beat", got: this.got, sent_ms: now }));
     }
     const length = new DataView(data).getUint32(0, true);
@@ -113,14 +132,11 @@ export class Link {
     this.on.message(header, rows, new Uint8Array(data, 4 + length + 4 * size));
   }
 
-  beaten(sent_ms) {
-    this.round_trips = [...this.round_trips.slice(-4), performance.now() - sent_ms];
-    this.round_trip_ms = Math.max(...this.round_trips);
-  }
-
-  // Time since the newest values were received, s.
-  get age_s() {
-    return (performance.now() - this.received_ms) / 1000;
+  beaten({ beat, wall_s }) {
+    this.heard_ms = beat;
+    const trip_ms = performance.now() - beat;
+    this.beats = [...this.beats.slice(1 - BEATS), { trip_ms, ahead_s: wall_s - (Date.now() - trip_ms) / 1000 }];
+    this.ahead_s = Math.min(...this.beats.map((each) => each.ahead_s));
   }
 
   answered(message) {

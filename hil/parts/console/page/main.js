@@ -82,16 +82,16 @@ let frames = 0;
 
 function draw(time_ms) {
   requestAnimationFrame(draw);
+  if (now && page) link.seen_s = now.wall_s; // drawn below
   reach(link);
   if (!now || !page) return;
-  const stale = isStale(now) || link.lost;
+  const stale = isStale(now) || link.old;
   header(now, page, store);
-  link.seen_s = now.wall_s;
   controls.show(now, page);
   view.show(now, page, store);
   if (time_ms - slow_ms > SLOW_PERIOD_MS) {
     slow_ms = time_ms;
-    ages(now, page, (performance.now() - link.received_ms) / 1000);
+    ages(now, page, link.age_s);
     log(page, now.wall_s);
     plots.stale = stale;
     drawn = -1; // changes without new rows: sizes, ages, jogged axes

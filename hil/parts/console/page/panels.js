@@ -11,12 +11,13 @@ export function isStale(now) {
 
 // Show whether keys and orders reach the bench; no button looks alive while they do not.
 export function reach(link) {
-  const lost = link.lost, away = !document.hasFocus();
-  document.body.classList.toggle("lost", lost);
+  const lost = link.lost, old = link.old, away = !document.hasFocus();
+  document.body.classList.toggle("lost", old);
   document.body.classList.toggle("away", away);
-  const waits = link.received_ms === -Infinity ? "Nothing received from the console yet" : `No connection to the console: values are ${link.age_s.toFixed(1)} s old`;
-  const text = lost ? `${waits}: STOP may not arrive, use the emergency stop` : "Keys do not reach this window: click into it";
-  $("reach").textContent = lost || away ? text : "";
+  const waits = link.seen_s === null ? "Nothing received from the console yet" : `No connection to the console: values are ${link.age_s.toFixed(1)} s old`;
+  const late = `Values are ${link.age_s.toFixed(1)} s old: STOP may be late, use the emergency stop; other commands are off`;
+  const text = lost ? `${waits}: STOP may not arrive, use the emergency stop` : old ? late : "Keys do not reach this window: click into it";
+  $("reach").textContent = old || away ? text : "";
 }
 
 export function header(now, page, store) {

@@ -109,7 +109,7 @@ def dss(
         say(f"flown by {backend.connect(link_options.wait)}", console, "dim")
         operator: AutoResumeOperator | TerminalOperator | None = None
         if bench.value.gnc_link.on_loss == "hold":
-            operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal()
+            operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal(console)
 
         def attach(runner: Runner) -> None:
             if isinstance(operator, AutoResumeOperator):
@@ -129,7 +129,7 @@ def dss(
         link.close("the bench has ended")
 
 
-def _at_terminal() -> TerminalOperator | None:
+def _at_terminal(console: Console) -> TerminalOperator | None:
     """Return the operator at the standard input, None if that is closed."""
     from hil.core.operator_commands import TerminalOperator
 
@@ -138,7 +138,7 @@ def _at_terminal() -> TerminalOperator | None:
     except (AttributeError, OSError, ValueError):
         return None
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # a job in the background is not suspended
-    return TerminalOperator(descriptor)
+    return TerminalOperator(descriptor, lambda text: say(text, console))
 
 
 def link_addresses(

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
+from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import (
@@ -36,6 +37,7 @@ from hil.errors import BadInput, Problem
 if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
 
+Kind = Literal["opencv", "kalibr", "ros"]
 _PASSED, _FAILED = 0, 1
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
@@ -75,6 +77,12 @@ class InitialGuessOptions:
     pairs of the LED ring, moved by hand: its layout by the cameras of --geometry."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
+
+    source: Annotated[Kind | None, Parameter(name="--from")] = None
+    """VIEWS is a calibration of opencv (YAML of stereoCalibrate), kalibr (camchain) or ros (camera_info, LEFT,RIGHT):
+    write its cameras as the geometry file --out, with the LEDs of --geometry or --rig."""
+    to: Kind | None = None
+    """VIEWS is a geometry file: write its cameras for opencv, kalibr or ros next to it."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
@@ -202,6 +210,8 @@ def calibrate(
     views
         Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
+    if start.source is not None or start.to is not None:
+        return _interchange(views, start, result.out, settings)
     problems = start.problems()
     if drift.check is not None:
         given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
@@ -333,6 +343,39 @@ def _calibrate(
     if result.json != "-":
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED
+
+
+def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
+    """Read or write the cameras of a pair as another program has them."""
+    from hil.config.load import load_geometry, load_rig
+    from hil.config.vmu_geometry import Tolerances
+    from hil.vmu.calibration.files import as_toml
+    from hil.vmu.calibration.interchange import read_pair, written
+    from hil.vmu.geometry import geometry_of_rig
+
+    if start.source is not None and start.to is not None:
+        raise BadInput.single("--from", "", "goes without --to")
+    if start.to is not None:
+        path = Path(views)
+        files = {path.with_name(f"{path.stem}-{ending}"): text for ending, text in
+                 written(start.to, load_geometry(views).value).items()}  # fmt: skip
+        if existing := [file for file in files if file.exists()]:
+            raise BadInput.single("--to", "", f"{existing[0]}: exists already, move it away")
+        for file, text in files.items():
+            write_text(text, str(file))
+            say(str(file))
+        return _PASSED
+    if out is None:
+        raise BadInput.single("--out", "", "is missing: the geometry file (*.toml) to write")
+    assert start.source is not None
+    rig = load_rig(start.rig, settings).value
+    nominal = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig)
+    paths = [Path(name) for name in views.split(",")]
+    geometry = read_pair(start.source, paths, nominal.model_copy(update={"tolerances": Tolerances()}))
+    table = geometry.model_dump(exclude_none=True)
+    write_text(as_toml(table, f"Vision unit, with the cameras of {views} ({start.source})."), out)
+    say(f"{out}: state the accuracy of this calibration in [tolerances], and check the LEDs")
+    return _PASSED
 
 
 def _television_problems(start: InitialGuessOptions, scene_out: str | None, others: dict[str, object]) -> list[Problem]:

@@ -79,8 +79,6 @@ def _as_json(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]
 
 
 def _print(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> None:
-    if not recorded.intact:
-        say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     for name, (replayed, _) in replays.items():
         what = "poses" if name == "vmu" else "portions"
         of = f"{replayed.of}, {replayed.images} exposures, {replayed.compared} {what}"

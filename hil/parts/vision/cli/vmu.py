@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -32,11 +31,13 @@ from hil.cli.options import (
 )
 from hil.cli.output import commonest, deliver, file_path_problem, say
 from hil.cli.progress import ProgressBar
+from hil.core.files import replaced
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.vmu_geometry import VmuGeometry
     from hil.parts.cameras.live import CameraPairs
+    from hil.vmu.estimators import PoseEstimator
     from hil.vmu.pose import Prediction
     from hil.vmu.sources import ImageFolder, Pair, StreamPairs
     from hil.vmu.unit import Solution, VisionUnit
@@ -83,8 +84,10 @@ Overlay = Annotated[Output, Check(_overlay_problem)]
 
 @dataclass(frozen=True)
 class TrackStartOptions:
-    """Options of the frames to evaluate."""
+    """Options of the frames to evaluate, and of their evaluation."""
 
+    rig: str | None = None
+    """Rig file whose estimator and its settings are used, of AprilTags or a ChArUco board; default: the LED ring."""
     start_frame: OptionalCase = None
     """First frame to evaluate."""
     frames: Annotated[OptionalInteger, bounded(1)] = None
@@ -132,7 +135,7 @@ def vmu(
     out
         CSV file to write.
     rate_hz
-        Frame rate: the time of a frame is its number divided by this.
+        Frame rate: the time of a frame is its number divided by this; of two videos, that of the files.
     overlay
         Folder for one image per frame: spots, identities, reprojected LEDs, pose.
     json
@@ -159,8 +162,10 @@ def vmu(
     endless = live or cameras is not None
     console = Console(stderr=True)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
-        unit = VisionUnit(loaded)
+        unit = VisionUnit(loaded) if start.rig is None else _estimator(start.rig, loaded)
         unit.warm_up()
+    if overlay is not None and not isinstance(unit, VisionUnit):
+        raise BadInput.single("--overlay", "", "goes with the LED ring, not with another estimator of --rig")
     if overlay is not None:
         Path(overlay).mkdir(exist_ok=True)
     first = _start(start.start_pose)
@@ -179,7 +184,7 @@ def vmu(
                 line.send(solution.frame(0, t_s), t_s)
             rows.append(row(pair.frame, solution))
             solutions.append(solution)
-            if overlay is not None:
+            if overlay is not None and isinstance(unit, VisionUnit):
                 _write_overlay(Path(overlay), unit, pair, solution)
             bar.show(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
     write_csv(rows, out)
@@ -210,7 +215,7 @@ def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float)
 
 
 def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
-    """Yield each pair with the time of its exposure, s: cameras by the clock, others by their number.
+    """Yield each pair with the time of its exposure, s: cameras by the clock, videos by their times, others by number.
 
     Cameras are sampled at ``rate_hz``, frames between are dropped; others wait for their time if paced.
     """
@@ -222,19 +227,49 @@ def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) ->
                 due_s = max(due_s + 1.0 / rate_hz, now_s)
                 yield now_s, pair
             continue
-        t_s = pair.frame / rate_hz
+        t_s = pair.frame / rate_hz if pair.t_s is None else pair.t_s
         if paced:
             time.sleep(max(0.0, t_s - now_s))
         yield t_s, pair
 
 
-def solve(unit: VisionUnit, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:
+def _estimator(rig: str, geometry: VmuGeometry) -> PoseEstimator:
+    """Return the estimator of a rig file with ``geometry``. Raises BadInput."""
+    from hil.config.load import load_rig
+    from hil.vmu.estimators import make_estimator
+
+    vmu = load_rig(rig).value.vmu
+    return make_estimator(vmu.estimator, geometry, vmu.estimator_settings)
+
+
+def solve(unit: VisionUnit | PoseEstimator, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:
     """Return the solution of ``pair``; one unreadable image counts as lost, two as rejected."""
     from hil.vmu.sources import UNREADABLE
+    from hil.vmu.unit import VisionUnit
 
+    if not isinstance(unit, VisionUnit):
+        return _solution(unit, pair, t_s)
     if pair.unreadable and pair.left is None and pair.right is None:
         return unit.rejected(t_s, UNREADABLE)
     return unit.solve(pair.left, pair.right, t_s, prediction)
+
+
+def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
+    """Return the result of an estimator as a solution without spots."""
+    import numpy as np
+
+    from hil.vmu.estimators import PoseEstimate, solve_pair
+    from hil.vmu.kernels.records import SPOT
+    from hil.vmu.unit import Pose, Solution
+
+    found = solve_pair(unit, pair.left, pair.right, t_s)
+    if isinstance(found, Solution):
+        return found
+    pose, none = None, np.zeros(0, SPOT)
+    if isinstance(found, PoseEstimate) and found.t_v is not None and found.covariance is not None:
+        assert found.q_vt is not None
+        pose = Pose(found.t_v, found.q_vt, found.covariance, found.covariance if found.noise is None else found.noise)
+    return Solution(t_s, found.status, pose, (none, none), ((), ()))
 
 
 def row(frame: int, solution: Solution) -> dict[str, Any]:
@@ -255,12 +290,10 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
     """Write ``rows`` to ``path``, completely or not at all."""
-    partial = Path(f"{path}.part")
-    with partial.open("w", newline="", encoding="utf-8") as file:
+    with replaced(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(partial, path)
 
 
 def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
@@ -318,10 +351,15 @@ def _write_overlay(folder: Path, unit: VisionUnit, pair: Pair, solution: Solutio
 
 
 def _print(summary: dict[str, Any], out: str, console: Console) -> None:
+    from hil.vmu.estimators import PRINT
+
     text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     say(f"{summary['frames']} frames: {text}", console)
     if summary["chi2_per_degree"] is not None:
         say(f"chi-square per degree of freedom {summary['chi2_per_degree']:.2f}", console)
+    if PRINT in summary["status"]:
+        text = 'the target fits several prints, or not the stated one: state print = "official" or "opencv"'
+        say(f"{PRINT}: {text} in the geometry file", console, "red")
     for line in summary["refused"]:
         say(line, console, "red")
     say(f"poses in {out}", console)
