@@ -33,7 +33,7 @@ _SAMPLES = 36  # samples of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
 _SMALL = 300  # pixels of a component that is soon fitted
-_MANY = 48  # components
+_MANY = 16  # components
 _WHOLE = 30  # of ``flood``: one block, the image
 _LIGHTS = 4  # squares of the largest light: pixels of the largest component
 
