@@ -22,7 +22,6 @@ from hil.gnc import guidance
 from hil.gnc.approach_monitor import closing_limit, closing_margin, corridor_margin
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import linear, quat
-from hil.maths.elementary import square
 from hil.params import gnc as gnc_params
 from hil.params.ready import tolerances
 
@@ -173,7 +172,7 @@ def _why_not(scenario: Scenario) -> str:
         dt_s = 0.0 if previous_s is None else min(_INTERVAL_S, max(0.0, sample.t_s - previous_s))
         previous_s = sample.t_s
         cut = np.clip(off, -reach_m, reach_m)
-        correction = -square(_FREQUENCY_RADPS) * cut - 2.0 * _FREQUENCY_RADPS * speed
+        correction = -_FREQUENCY_RADPS * _FREQUENCY_RADPS * cut - 2.0 * _FREQUENCY_RADPS * speed
         asked = sample.needed_C + linear.product(sample.rotation, correction)
         most = limits[sample.name]
         lacks = np.clip(asked, -most, most) - sample.needed_C

@@ -1,6 +1,6 @@
 """Comparison of the messages in a recording with the count and digest of each topic in its end.
 
-It finds messages that were removed, added or edited, whoever wrote the file; the chain of the log is that of ``audit``.
+It finds messages that were removed, added or edited, by any program; the chain of the log is that of ``audit``.
 """
 
 from __future__ import annotations

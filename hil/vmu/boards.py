@@ -228,7 +228,7 @@ def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimat
 
 
 def _is_single_tag(found: Sequence[Any]) -> bool:
-    """Return whether both images together show one tag only, which does not tell how it is printed."""
+    """Return whether both images together show one tag only, which leaves open how it is printed."""
     tags = [set(image) for image in found if isinstance(image, dict)]
     return len(set().union(*tags)) == 1
 

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.config.load import Loaded, load_scene
 from hil.core.video import LOWER_FIRST, UPPER_FIRST, Video
 from hil.errors import BadInput
+from hil.parts.monitor.sources import open_source
 from hil.vmu.sources import StreamPairs
 
 av: Any = pytest.importorskip("av")
@@ -20,8 +22,8 @@ SHAPE = (96, 128)
 RATE_HZ = 25
 
 
-def picture(number: int) -> np.ndarray:
-    """Return a smooth picture with a bar at the place of its number, which survives compression."""
+def scene_image(number: int) -> np.ndarray:
+    """Return a smooth image with a bar at the place of its number, which survives compression."""
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     base = 60.0 + 0.5 * rows + 0.3 * columns
     base[:, 8 * number : 8 * number + 8] += 80.0
@@ -32,7 +34,7 @@ def written(
     path: Path, times: Sequence[int], codec: str = "ffv1", pix_fmt: str = "gray", base: Fraction = Fraction(1, RATE_HZ),
     options: dict[str, str] | None = None, rotation: int = 0,
 ) -> Path:  # fmt: skip
-    """Write pictures 0, 1, ... with the given times in units of ``base``."""
+    """Write images 0, 1, ... with the given times in units of ``base``."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=RATE_HZ, options=options or {})
         stream.height, stream.width = SHAPE
@@ -40,7 +42,7 @@ def written(
         if rotation:
             stream.set_display_rotation(rotation)
         for number, time in enumerate(times):
-            frame = av.VideoFrame.from_ndarray(picture(number), format="gray").reformat(format=pix_fmt)
+            frame = av.VideoFrame.from_ndarray(scene_image(number), format="gray").reformat(format=pix_fmt)
             frame.pts, frame.time_base = time, base
             for packet in stream.encode(frame):
                 container.mux(packet)
@@ -50,7 +52,7 @@ def written(
 
 
 def bar_of(image: np.ndarray) -> int:
-    """Return the number of the picture that ``image`` shows."""
+    """Return the number of the image that ``image`` shows."""
     levels = np.asarray(image, float).mean(axis=0) - 0.3 * np.arange(SHAPE[1])
     return int(np.argmax([levels[8 * k : 8 * k + 8].mean() for k in range(SHAPE[1] // 8)]))
 
@@ -70,7 +72,7 @@ KINDS = [
 
 
 @pytest.mark.parametrize(("name", "codec", "pix_fmt", "options"), KINDS)
-def test_levels_and_times_are_those_of_the_pictures(
+def test_levels_and_times_are_those_of_the_images(
     tmp_path: Path, name: str, codec: str, pix_fmt: str, options: dict[str, str]
 ) -> None:
     found = list(Video(written(tmp_path / name, range(10), codec, pix_fmt, options=options)))
@@ -78,7 +80,7 @@ def test_levels_and_times_are_those_of_the_pictures(
     np.testing.assert_allclose([each.t_s - found[0].t_s for each in found], np.arange(10) / RATE_HZ, atol=1e-3)
     for number, each in enumerate(found):
         assert each.image.dtype == np.uint8
-        assert abs(float(np.mean(each.image)) - picture(number).mean()) < 1.0
+        assert abs(float(np.mean(each.image)) - scene_image(number).mean()) < 1.0
     expected = {"tff=1": UPPER_FIRST, "bff=1": LOWER_FIRST}.get(options.get("x264-params", ""), "")
     if codec == "libx264":
         assert {each.fields for each in found} == {expected}
@@ -122,3 +124,25 @@ def test_pairs_of_two_videos_have_the_same_times(tmp_path: Path, caplog: pytest.
     assert [pair.frame for pair in pairs if pair.right is None] == [3]
     assert all(pair.left is not None for pair in pairs)
     assert f"{left}: 1 images have no partner at their times in the other video" in caplog.text
+
+
+def test_interlaced_video_is_refused_by_the_vision_unit(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.mkv", range(3), "libx264", "yuv420p", options={"x264-params": "bff=1"})
+    with pytest.raises(BadInput, match=r"a\.mkv: interlaced: lower_first: the lines of an image are of two exposures"):
+        list(StreamPairs(f"{path},{path}"))
+
+
+def test_monitor_has_the_times_of_the_file(tmp_path: Path) -> None:
+    """Images of an uneven rate keep their times; another order of the half frames than the scene's is refused."""
+    loaded = load_scene("atv")
+    camera = loaded.value.camera.model_copy(update={"width": SHAPE[1], "height": SHAPE[0]})
+    scene = Loaded(loaded.value.model_copy(update={"camera": camera, "fps": 25.0}), "scene.json", {})
+    times = [0, 40, 87, 120, 160]
+    uneven = written(tmp_path / "a.mkv", times, base=Fraction(1, 1000))
+    found = list(open_source(str(uneven), scene))
+    np.testing.assert_allclose([frame.t_s for frame in found], np.array(times) / 1000.0, atol=1e-9)
+    woven = written(tmp_path / "b.mkv", range(3), "libx264", "yuv420p", options={"x264-params": "bff=1"})
+    halves = Loaded(scene.value.model_copy(update={"fields": "upper_first"}), "scene.json", {})
+    for given in (scene, halves):
+        with pytest.raises(BadInput, match=r"fields of scene\.json: .*: the video is interlaced, lower_first"):
+            list(open_source(str(woven), given))

@@ -94,18 +94,18 @@ class CoarseChaser(MonitoredChaser):
         super().watch()
 
 
-@pytest.mark.parametrize("declared", [True, False])
+@pytest.mark.parametrize("told", [True, False])
 def test_readings_of_a_coarse_imu_repeat_and_are_sound_with_its_resolution(
-    rng: np.random.Generator, declared: bool
+    rng: np.random.Generator, told: bool
 ) -> None:
-    scenario = load_scenario("scheme-1", QUANTA if declared else ()).value
+    scenario = load_scenario("scheme-1", QUANTA if told else ()).value
     chaser = CoarseChaser(gnc_params.thruster_monitor(scenario), rng)
     for cycle in range(3000):
         if cycle % 200 < 100:
             chaser._on[:] = 0
         chaser.cycle({})
-    assert (chaser.state.imu_revoked + chaser.state.imu_suspect == 0) == declared
-    assert not declared or chaser.health == 0
+    assert (chaser.state.imu_revoked + chaser.state.imu_suspect == 0) == told
+    assert not told or chaser.health == 0
 
 
 @pytest.mark.parametrize("sensor", ["force_C", "rate_C"])

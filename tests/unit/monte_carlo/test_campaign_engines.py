@@ -71,7 +71,7 @@ def test_worker_with_another_program_is_refused_by_name(change: dict[str, str], 
     assert engine_of({"tcp://a:1": same})._check_workers() == 1
 
 
-def test_campaign_without_workers_says_so_and_ends(
+def test_campaign_without_workers_warns_and_ends(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     for name, value in (("_ASK_EVERY_S", 0.01), ("_IDLE_FIRST_S", 0.02), ("_IDLE_EACH_S", 0.1), ("_IDLE_LAST_S", 0.2)):

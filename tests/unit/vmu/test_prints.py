@@ -69,7 +69,7 @@ def is_right(estimate: Any) -> bool:
 
 
 @pytest.mark.parametrize("family", sorted(CELLS))
-def test_official_print_of_a_single_tag_has_the_attitude_of_its_picture(family: str) -> None:
+def test_official_print_of_a_single_tag_has_its_attitude(family: str) -> None:
     tags = ((1, 0.02 * (CELLS[family][0] + 2), 0.0, 0.0),)
     estimator = make_estimator("apriltag", geometry("official"), {"family": family, "tags": tags})
     assert is_right(estimator.solve(*seen(family, tags), 0.0))
@@ -84,7 +84,7 @@ def test_tags_drawn_here_are_the_official_ones(family: str, number: int) -> None
     assert (AprilTagSettings(family=family).marker(number, "opencv", cells) == drawn[::-1, ::-1]).all()
 
 
-def test_places_of_several_tags_tell_how_they_are_printed() -> None:
+def test_places_of_several_tags_determine_how_they_are_printed() -> None:
     estimator = make_estimator("apriltag", geometry(None), {"tags": TWO})
     assert is_right(estimator.solve(*seen("36h11", TWO), 0.0))
     assert estimator.solve(*seen("36h11", TWO, hidden=2), 0.0).status == "rejected_print"
@@ -144,7 +144,7 @@ def test_board_that_cannot_be_printed_is_one_line(name: str, settings: dict[str,
 
 
 def rolled(board: FlatTarget) -> Array:
-    """Return the middle of the board's picture, for a comparison of its parts."""
+    """Return every tenth pixel of a board, for a comparison of its parts."""
     return board.image[::10, ::10]
 
 

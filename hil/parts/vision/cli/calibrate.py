@@ -31,7 +31,6 @@ from hil.cli.options import (
 )
 from hil.cli.output import base_of, deliver, say, write_json
 from hil.cli.progress import ProgressBar
-from hil.config.vmu_geometry import Tolerances
 from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
@@ -78,6 +77,12 @@ class InitialGuessOptions:
     pairs of the LED ring, moved by hand: its layout by the cameras of --geometry."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
+
+    source: Annotated[Kind | None, Parameter(name="--from")] = None
+    """VIEWS is a calibration of opencv (YAML of stereoCalibrate), kalibr (camchain) or ros (camera_info, LEFT,RIGHT):
+    write its cameras as the geometry file --out, with the LEDs of --geometry or --rig."""
+    to: Kind | None = None
+    """VIEWS is a geometry file: write its cameras for opencv, kalibr or ros next to it."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
@@ -174,18 +179,6 @@ class DriveOptions:
     """With --drive: confirm that the bench is clear (required for hardware rigs)."""
 
 
-@dataclass(frozen=True)
-class InterchangeOptions:
-    """Options of calibrations of other programs."""
-
-    source: Annotated[Kind | None, Parameter(name="--from")] = None
-    """VIEWS is a calibration of opencv (YAML of stereoCalibrate), kalibr (camchain) or ros (camera_info, LEFT,RIGHT):
-    write its cameras as the geometry file --out, with the LEDs of --geometry or --rig."""
-    to: Kind | None = None
-    """VIEWS is a geometry file: write its cameras for opencv, kalibr or ros next to it."""
-
-
-_INTERCHANGE = InterchangeOptions()
 _START, _RESULT, _SIGMAS, _LIMITS, _DRIFT, _DRIVE = (
     InitialGuessOptions(),
     ResultOptions(),
@@ -200,7 +193,6 @@ def calibrate(
     views: str,
     /,
     *,
-    interchange: Group[InterchangeOptions] = _INTERCHANGE,
     start: Group[InitialGuessOptions] = _START,
     result: Group[ResultOptions] = _RESULT,
     sigmas: Group[BenchSigmas] = _SIGMAS,
@@ -218,8 +210,8 @@ def calibrate(
     views
         Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
-    if interchange.source is not None or interchange.to is not None:
-        return _interchange(views, interchange, start, result.out, settings)
+    if start.source is not None or start.to is not None:
+        return _interchange(views, start, result.out, settings)
     problems = start.problems()
     if drift.check is not None:
         given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
@@ -351,21 +343,20 @@ def _calibrate(
     return _PASSED if outcome.passed else _FAILED
 
 
-def _interchange(
-    views: str, interchange: InterchangeOptions, start: InitialGuessOptions, out: str | None, settings: Sequence[str]
-) -> int:
+def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
     """Read or write the cameras of a pair as another program has them."""
     from hil.config.load import load_geometry, load_rig
+    from hil.config.vmu_geometry import Tolerances
     from hil.vmu.calibration.files import as_toml
     from hil.vmu.calibration.interchange import read_pair, written
     from hil.vmu.geometry import geometry_of_rig
 
-    if interchange.source is not None and interchange.to is not None:
+    if start.source is not None and start.to is not None:
         raise BadInput.single("--from", "", "goes without --to")
-    if interchange.to is not None:
+    if start.to is not None:
         path = Path(views)
         files = {path.with_name(f"{path.stem}-{ending}"): text for ending, text in
-                 written(interchange.to, load_geometry(views).value).items()}  # fmt: skip
+                 written(start.to, load_geometry(views).value).items()}  # fmt: skip
         if existing := [file for file in files if file.exists()]:
             raise BadInput.single("--to", "", f"{existing[0]}: exists already, move it away")
         for file, text in files.items():
@@ -374,13 +365,13 @@ def _interchange(
         return _PASSED
     if out is None:
         raise BadInput.single("--out", "", "is missing: the geometry file (*.toml) to write")
-    assert interchange.source is not None
+    assert start.source is not None
     rig = load_rig(start.rig, settings).value
     nominal = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig)
     paths = [Path(name) for name in views.split(",")]
-    geometry = read_pair(interchange.source, paths, nominal.model_copy(update={"tolerances": Tolerances()}))
+    geometry = read_pair(start.source, paths, nominal.model_copy(update={"tolerances": Tolerances()}))
     table = geometry.model_dump(exclude_none=True)
-    write_text(as_toml(table, f"Vision unit, with the cameras of {views} ({interchange.source})."), out)
+    write_text(as_toml(table, f"Vision unit, with the cameras of {views} ({start.source})."), out)
     say(f"{out}: state the accuracy of this calibration in [tolerances], and check the LEDs")
     return _PASSED
 

@@ -84,8 +84,10 @@ Overlay = Annotated[Output, Check(_overlay_problem)]
 
 @dataclass(frozen=True)
 class TrackStartOptions:
-    """Options of the frames to evaluate."""
+    """Options of the frames to evaluate, and of their evaluation."""
 
+    rig: str | None = None
+    """Rig file whose estimator and its settings are used, of AprilTags or a ChArUco board; default: the LED ring."""
     start_frame: OptionalCase = None
     """First frame to evaluate."""
     frames: Annotated[OptionalInteger, bounded(1)] = None
@@ -115,7 +117,6 @@ def vmu(
     *,
     geometry: str,
     out: CsvFile,
-    rig: str | None = None,
     rate_hz: Positive = 6.25,
     overlay: Overlay = None,
     start: Group[TrackStartOptions] = _START_DEFAULTS,
@@ -133,8 +134,6 @@ def vmu(
         File of LED layout and cameras, JSON or TOML (docs/explanation/vision-unit.md).
     out
         CSV file to write.
-    rig
-        Rig file whose estimator and its settings are used, of AprilTags or a ChArUco board; default: the LED ring.
     rate_hz
         Frame rate: the time of a frame is its number divided by this; of two videos, that of the files.
     overlay
@@ -163,7 +162,7 @@ def vmu(
     endless = live or cameras is not None
     console = Console(stderr=True)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
-        unit = VisionUnit(loaded) if rig is None else _estimator(rig, loaded)
+        unit = VisionUnit(loaded) if start.rig is None else _estimator(start.rig, loaded)
         unit.warm_up()
     if overlay is not None and not isinstance(unit, VisionUnit):
         raise BadInput.single("--overlay", "", "goes with the LED ring, not with another estimator of --rig")
