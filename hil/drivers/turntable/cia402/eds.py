@@ -102,7 +102,7 @@ class Eds:
         return [
             stream
             for stream in _STREAMS
-            if (not supported or supported & 1 << stream - 1) and (low is None or high is None or low <= stream <= high)
+            if (supported & 1 << stream - 1 if supported else low is None or high is None or low <= stream <= high)
         ]
 
     def _takes(self, mode: int) -> bool:
@@ -114,14 +114,21 @@ class Eds:
         indices = (index for index in self.variables if index[0] in codec.PDO_PARAMETERS and index[1] == 1)
         return [key for key in indices if key[0] not in used and self.can_write(*key)]
 
+    def reaction(self, index: int, wanted: tuple[int, ...]) -> int | None:
+        """Return the first of ``wanted`` that the drive takes as option code ``index``; None if it takes none."""
+        if not self.can_write(index):
+            return None
+        low, high = self.variables[index, 0].low, self.variables[index, 0].high
+        return next((each for each in wanted if low is None or high is None or low <= each <= high), None)
+
     def watchdogs(self) -> list[str]:
-        """Return the means by which the drive can notice that the bench is silent, the preferred one first."""
+        """Return the means by which the drive can notice that the bench is silent."""
         means = []
         if self.can_write(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER):
             means.append(codec.SETPOINT_TIME_OUT)
         if self.can_write(codec.HEARTBEAT_CONSUMER, 1):
             means.append(codec.HEARTBEAT_GUARD)
-        if self.can_write(codec.GUARD_TIME) and self.can_write(codec.LIFE_TIME_FACTOR):
+        elif self.can_write(codec.GUARD_TIME) and self.can_write(codec.LIFE_TIME_FACTOR):
             means.append(codec.LIFE_GUARD)
         return means
 
@@ -133,13 +140,16 @@ class Eds:
                 "0x1400:05, 0x1016:01 and 0x100C are missing: no watchdog of the drive stops its axis when the bench "
                 "falls silent, the safety chain alone does"
             )
-        elif not self.can_write(codec.ABORT_CONNECTION_OPTION):
+        elif self.reaction(codec.ABORT_CONNECTION_OPTION, codec.ABORT_REACTIONS) is None:
             lines.append(
-                f"0x6007 is missing: what the drive does when its watchdog ({means[0]}) expires is set in the drive: "
-                "try it with hil commission --proof-test"
+                f"0x6007 is missing or takes none of 3, 1, 2: what the drive does when its watchdog ({means[0]}) "
+                "expires is set in the drive: try it with hil commission --proof-test"
             )
-        if not self.can_write(codec.QUICK_STOP_OPTION):
-            lines.append("0x605A is missing: whether the drive keeps its torque after a quick stop is set in the drive")
+        if self.reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS) is None:
+            lines.append(
+                "0x605A is missing or takes neither 6 nor 5: whether the drive keeps its torque after a quick stop is "
+                "set in the drive"
+            )
         if not self.has(codec.MODE_DISPLAY):
             lines.append("0x6061 is missing: the drive does not confirm its mode of operation")
         return lines
