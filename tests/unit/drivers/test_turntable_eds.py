@@ -180,6 +180,12 @@ def test_transmission_of_setpoints_that_is_fixed_is_used_as_it_is(tmp_path) -> N
         assert device.read(clock.now_s()).position == pytest.approx(goal, abs=1e-4)
 
 
+def test_fixed_mapping_of_another_object_is_refused(tmp_path) -> None:
+    fixed = section("1601sub1").replace("AccessType=rw", "AccessType=ro\nDefaultValue=0x60FF0020")
+    with pytest.raises(BadInput, match=r"\[1601sub1\] AccessType: ro: the driver maps 0x6040 there, allowed: rw"):
+        Eds(altered(tmp_path, (section("1601sub1"), fixed)))
+
+
 @pytest.mark.parametrize("text", ["", "[6040]\nParameterName=x\n", "no sections at all", "[DeviceInfo]\n[6040\n"])
 def test_file_that_is_no_eds_is_refused(tmp_path, text):
     path = tmp_path / "drive.eds"

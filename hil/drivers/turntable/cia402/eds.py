@@ -163,10 +163,24 @@ class Eds:
         problems.append(self._problem(codec.MODE, 0, written=True))
         for pdo in _PDOS:
             problems += [self._problem(pdo.parameter, 1, written=True), self._problem(pdo.parameter, 2)]
-            problems += [self._problem(pdo.mapping_index, sub) for sub in (0, 1)]
+            problems += [self._problem(pdo.mapping_index, 0), self._mapping_problem(pdo)]
         if homing:
             problems += [self._problem(*key, written=True) for key in codec.HOMING_OBJECTS]
         return [problem for problem in problems if problem]
+
+    def _mapping_problem(self, pdo: Pdo) -> str:
+        """Return the problem of a PDO whose mapping is fixed, "" if it can be written or is the one of the driver."""
+        problem = self._problem(pdo.mapping_index, 1)
+        if problem or self.can_write(pdo.mapping_index, 1):
+            return problem
+        index, subindex, bits = pdo.mapping[0]
+        if pdo is codec.SETPOINT_PDO and self.streams[0] == codec.INTERPOLATED_POSITION:
+            index, subindex, bits = codec.INTERPOLATION_PDO.mapping[0]
+        if self.default(pdo.mapping_index, 1) == index << 16 | subindex << 8 | bits:
+            return ""
+        variable = self.variables[pdo.mapping_index, 1]
+        name = codec.object_name(index, subindex)
+        return f"{variable.section} AccessType: {variable.access}: the driver maps {name} there, allowed: rw"
 
     def _no_stream(self) -> str:
         supported = self.default(*codec.SUPPORTED_MODES)
