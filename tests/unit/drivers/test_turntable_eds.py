@@ -14,24 +14,8 @@ from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.errors import BadInput
 from hil.parts.emulation.cia402_objects import ObjectDictionary
+from tests.support.data_sheets import altered, section
 from tests.support.turntable_bench import served
-
-
-def altered(tmp_path, *changes):
-    text = SHIPPED.read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    path = tmp_path / "drive.eds"
-    path.write_text(text)
-    return path
-
-
-def section(index):
-    """Return one section of the shipped EDS."""
-    text = SHIPPED.read_text()
-    start = text.index(f"[{index}]")
-    return text[start:].split("\n\n")[0]
 
 
 def test_shipped_eds_has_what_the_driver_needs_for_homing_and_profiles():
