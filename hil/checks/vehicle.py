@@ -172,7 +172,7 @@ def _why_not(scenario: Scenario) -> str:
         dt_s = 0.0 if previous_s is None else min(_INTERVAL_S, max(0.0, sample.t_s - previous_s))
         previous_s = sample.t_s
         cut = np.clip(off, -reach_m, reach_m)
-        correction = -(_FREQUENCY_RADPS**2) * cut - 2.0 * _FREQUENCY_RADPS * speed
+        correction = -_FREQUENCY_RADPS * _FREQUENCY_RADPS * cut - 2.0 * _FREQUENCY_RADPS * speed
         asked = sample.needed_C + linear.product(sample.rotation, correction)
         most = limits[sample.name]
         lacks = np.clip(asked, -most, most) - sample.needed_C

@@ -16,7 +16,9 @@ def vehicle(
     scenario: str = "scheme-1", /, *, rig: str = "mock", settings: Settings = (), image: Figure = None,
     json: File = None,
 ) -> int:  # fmt: skip
-    """Compare the vehicle of a scenario with its plan, Table III, and abort; exit code 2 if it cannot fly the plan.
+    """Compare the vehicle of a scenario with its plan, Table III, and abort.
+
+    Exit code 2 if it cannot fly the plan.
 
     Parameters
     ----------

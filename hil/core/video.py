@@ -28,6 +28,7 @@ _ORDERS: Final = {2: UPPER_FIRST, 5: UPPER_FIRST, 3: LOWER_FIRST, 4: LOWER_FIRST
 _FULL_RANGE: Final = 2  # AVColorRange
 _MISSING: Final = 1.5  # image periods before the stated end at which a file is truncated
 _LONGEST_S: Final = 1e8  # a container that states more has no valid number
+_UPRIGHT: Final = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32).tobytes()  # display matrix
 _EXPANDED: Final = np.clip(np.rint((np.arange(256) - 16.0) * 255.0 / 219.0), 0, 255).astype(np.uint8)
 
 
@@ -133,7 +134,8 @@ class _PyAv:
 
     def images(self) -> Iterator[TimedImage]:
         for frame in self._frames():
-            if frame.rotation:
+            turns = frame.side_data.get("DISPLAYMATRIX")
+            if turns is not None and bytes(turns) != _UPRIGHT:
                 raise _rotated(self._path, frame.rotation)
             if frame.time is None:
                 raise BadInput.single(str(self._path), "", "has images without a time")
@@ -212,5 +214,6 @@ class _OpenCv:
 
 
 def _rotated(path: Path, turn: float) -> BadInput:
-    text = f"{turn:g} deg: signs of a pose depend on it: store the images as the camera has them, without the flag"
+    flag = f"{turn:g} deg" if turn else "mirrored"
+    text = f"{flag}: signs of a pose depend on it: store the images as the camera has them, without the flag"
     return BadInput.single(str(path), "rotation flag", text)

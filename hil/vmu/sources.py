@@ -151,6 +151,10 @@ class StreamPairs:
         while (first := heads[0]) is not None and (second := heads[1]) is not None:
             apart = (second.t_s - first.t_s) * rate_hz
             uses = apart > -0.5, apart < 0.5
+            for video, head in zip((left, right), (first, second), strict=True):
+                if head.fields:
+                    text = f"{head.fields}: the lines of an image are of two exposures: record whole images"
+                    raise BadInput.single(str(video.path), "interlaced", text)
             t_s = (first.t_s if uses[0] else second.t_s) - zero_s
             images = [head.image if used and head else None for head, used in zip(heads, uses, strict=True)]
             for side, other in ((0, 1), (1, 0)):

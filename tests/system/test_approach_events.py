@@ -113,7 +113,7 @@ def test_withdrawal_names_its_cause(go: dict[str, float], text: str) -> None:
     assert text in go_limit_text(state)
 
 
-def test_vision_lost_to_a_clock_that_is_ahead_says_so() -> None:
+def test_vision_lost_to_a_clock_that_is_ahead_has_that_reason() -> None:
     state = new(APPROACH_STATE)
     assert "future" not in limit_text(approach_monitor.FIRST_HEALTH_CAUSE, state)
     state.reactions.from_future = 12

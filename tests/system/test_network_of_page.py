@@ -12,6 +12,7 @@ from hil.parts.console.freshness import ACT_S, JOG_HOLD_S
 from tests.support.browsers import ChromiumPage, ask_by, chromium, until
 from tests.support.console_client import PATIENT, Page, console
 from tests.support.run_settings import typed
+from tests.support.stub_console import stub_console
 from tests.support.tcp_relay import Relay, relay_to
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(1800)]
@@ -125,3 +126,64 @@ def test_25_courses_of_a_network(rig: str, lease_s: float, seed: int) -> None:
     if rig == "emulated":
         seed += 100
     assert fly(rig, lease_s, seed, courses=25, longest_s=30.0).wrong == []
+
+
+ROUND_TRIPS_S = [0.02, 0.08, 0.15]
+
+
+def slow_down(relay: Relay, round_trip_s: float) -> None:
+    """Give both directions half of the round trip, of which a quarter is jitter."""
+    for each in (relay.up, relay.down):
+        each.delay_s, each.jitter_s = 0.375 * round_trip_s, 0.25 * round_trip_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("round_trip_s", ROUND_TRIPS_S)
+def test_healthy_network_refuses_no_order(round_trip_s: float) -> None:
+    refused = []
+    with chromium() as page, stub_console() as (address, _, stub), relay_to(address) as relay:
+        page.open(f"http://127.0.0.1:{relay.port}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        ask_by(page, "take")
+        until(page, "window.hil.now.lease.mine")
+        slow_down(relay, round_trip_s)
+        for _ in range(334):
+            answer = page.evaluate("window.hil.link.ask({do: 'order', order: 'abort', confirmed: true})")
+            if not answer["ok"]:
+                refused.append(answer["text"])
+    print(f"{1e3 * round_trip_s:.0f} ms: {len(stub.orders)} orders, {len(refused)} refused {refused[:3]}")  # noqa: T201
+    assert refused == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("round_trip_s", ROUND_TRIPS_S)
+def test_healthy_network_interrupts_no_jog(round_trip_s: float) -> None:
+    interrupted, presses = 0, 40
+    with (
+        console("--scenario", "scheme-1", "--rig", "mock", *PATIENT) as made,
+        relay_to(made.address) as relay,
+        chromium() as page,
+    ):
+        page.open(f"http://127.0.0.1:{relay.port}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        ask_by(page, "take")
+        until(page, "window.hil.now.lease.mine")
+        opened = 'window.hil.link.ask({do: "open", scenario: "scheme-1", rig: "mock", confirmed: true})'
+        assert page.evaluate(opened)["ok"]
+        until(page, "window.hil.now.mode === 'standby'", 240.0)
+        watcher = made.page("watcher")
+        slow_down(relay, round_trip_s)
+        time.sleep(2.0)
+        for press in range(presses):
+            page.press(("ArrowLeft", "ArrowRight")[press % 2])
+            watcher.until(lambda: watcher.now["mode"] == "jogging", "the jog")
+            end_s = time.monotonic() + 5.0
+            while time.monotonic() < end_s:
+                watcher.take(1.0)
+                if watcher.now["mode"] != "jogging":
+                    interrupted += 1
+                    break
+            page.release(("ArrowLeft", "ArrowRight")[press % 2])
+            watcher.until(lambda: watcher.now["mode"] == "standby", "the end of the jog")
+    print(f"{1e3 * round_trip_s:.0f} ms: {presses} jogs of 5 s, {interrupted} interrupted")  # noqa: T201
+    assert interrupted == 0

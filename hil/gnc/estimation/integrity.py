@@ -35,7 +35,7 @@ LEVEL_TERMS: Final = 5
 """Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
 bound of the second sensor."""
 USUAL_SUM: Final = 12.0
-"""Sum that noise reaches about once a minute, standard deviations: the level of a go contains what it hides."""
+"""Sum that noise reaches about once in a minute, standard deviations: the level of a go contains what it hides."""
 _OVERSHOOT = 1.166  # of a sum of normal innovations beyond its limit, standard deviations (Siegmund 1985)
 _REPEATS_MAX = 2  # repetitions of a pose with all its digits: with noise none are expected
 _FOLLOW_EACH = 4  # accepted poses

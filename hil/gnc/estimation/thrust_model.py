@@ -111,9 +111,7 @@ def _is_quiet(params, of_pkf, errors, filters, force, mean):
         off = force[i] - filters.pkf.x[6 + i] - filters.parameters[d + i]
         allowed = params.gate * math.sqrt(noise + known)
         mean[i] += _MEAN_WEIGHT * (min(allowed, max(-allowed, off)) - mean[i])
-        if abs(off) > allowed:
-            quiet = False
-        elif abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
+        if abs(off) > allowed or abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
             quiet = False
     return quiet
 

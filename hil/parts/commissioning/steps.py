@@ -165,7 +165,7 @@ class Commissioning:
         return AxisFindings(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))
 
     def _first_move(self, mover: SlowMover, axis: int, direction: float) -> None:
-        """Move so little that the axis stays within 1 mm or 0.1 deg also if its drive errs by a factor of 60.
+        """Move so little that the axis stays within 1 mm or 0.1 deg also if its drive is wrong by a factor of 60.
 
         Raise StepFailed if encoder, measurement or technician contradict; only then the moves grow.
         """

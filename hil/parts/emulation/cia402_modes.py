@@ -164,7 +164,7 @@ class DriveMotion:
     def _period_s(self) -> float:
         """Return the time over which the drive interpolates, s; 0 for one that has no such setting."""
         exponent = self._objects.value(codec.INTERPOLATION_PERIOD, 2)
-        return float(self._objects.value(codec.INTERPOLATION_PERIOD, 1) * 10.0**exponent)
+        return float(self._objects.value(codec.INTERPOLATION_PERIOD, 1) * codec.power_of_ten(exponent))
 
     def advance(self, now_s: float, is_enabled: bool) -> None:
         """Take a requested mode that is due, advance along the profile."""

@@ -29,7 +29,7 @@ from hil.errors import BadInput
 log = logging.getLogger("hil")
 
 Image = NDArray[np.uint8]
-NumberedImage = tuple[int, Image]  # number in image periods, image
+NumberedImage = tuple[int, Image, float]  # number in image periods, image, time after that of its number, s
 
 WHOLE: Final = 0
 UPPER: Final = 1  # lines 0, 2, 4 ...
@@ -101,12 +101,14 @@ class Source:
             numbered = next(self._pictures, None)
 
 
-def _exposures(slot: int, image: Image, scene: Scene) -> Iterator[VideoFrame]:
-    """Yield the exposures of image number ``slot``: one, or its two fields."""
+def _exposures(slot: int, image: Image, after_s: float, scene: Scene) -> Iterator[VideoFrame]:
+    """Yield the exposures of image number ``slot``, ``after_s`` after its time: one, or its two fields."""
     halves = 1 if scene.fields == "whole" else 2
     for number in range(halves * slot, halves * (slot + 1)):
         t_s, field = exposure(scene, number)
-        yield VideoFrame(number, t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field)
+        yield VideoFrame(
+            number, t_s + after_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
+        )
 
 
 def exposures_of(image: Image, slot: int, scene: Loaded[Scene]) -> Iterator[VideoFrame]:
@@ -114,7 +116,7 @@ def exposures_of(image: Image, slot: int, scene: Loaded[Scene]) -> Iterator[Vide
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         text = f"{image.dtype} of shape {image.shape}: must be (h, w) or (h, w, 3) of uint8"
         raise BadInput.single("image", "", text)
-    return _exposures(slot, _checked(image, "image", scene), scene.value)
+    return _exposures(slot, _checked(image, "image", scene), 0.0, scene.value)
 
 
 def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = time.monotonic) -> Source:
@@ -170,7 +172,10 @@ def _video_images(video: Video, scene: Loaded[Scene]) -> Iterator[NumberedImage]
             raise BadInput.single(str(video.path), "image times", text)
         lost += slot - previous - 1
         previous = slot
-        yield slot, _checked(each.image, str(video.path), scene)
+        after_s = each.t_s - start_s - slot / scene.value.fps
+        if abs(after_s) <= video.resolution_s:  # rounded
+            after_s = 0.0
+        yield slot, _checked(each.image, str(video.path), scene), after_s
     if lost:
         log.warning("%s: %d images are missing between the others: their times are left out", video.path, lost)
 
@@ -210,7 +215,7 @@ def _folder_images(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Itera
         image = decode_grey(read_bytes(file, IMAGE_BYTES))
         if image is None:
             raise BadInput.single(str(file), "", "not a readable image")
-        yield slot, _checked(image, str(file), scene)
+        yield slot, _checked(image, str(file), scene), 0.0
 
 
 def _camera(index: int, scene: Loaded[Scene], clock: Callable[[], float]) -> Source:
@@ -241,6 +246,6 @@ def _camera_images(
             if slot < 0:
                 start_s = now_s
             slot = max(slot + 1, round((now_s - start_s) * scene.value.fps))
-            yield slot, _checked(image, name, scene)
+            yield slot, _checked(image, name, scene), 0.0
     finally:
         capture.release()

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.config.load import Loaded, load_scene
 from hil.core.video import LOWER_FIRST, UPPER_FIRST, Video
 from hil.errors import BadInput
+from hil.parts.monitor.sources import open_source
 from hil.vmu.sources import StreamPairs
 
 av: Any = pytest.importorskip("av")
@@ -122,3 +124,25 @@ def test_pairs_of_two_videos_have_the_same_times(tmp_path: Path, caplog: pytest.
     assert [pair.frame for pair in pairs if pair.right is None] == [3]
     assert all(pair.left is not None for pair in pairs)
     assert f"{left}: 1 images have no partner at their times in the other video" in caplog.text
+
+
+def test_interlaced_video_is_refused_by_the_vision_unit(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.mkv", range(3), "libx264", "yuv420p", options={"x264-params": "bff=1"})
+    with pytest.raises(BadInput, match=r"a\.mkv: interlaced: lower_first: the lines of an image are of two exposures"):
+        list(StreamPairs(f"{path},{path}"))
+
+
+def test_monitor_has_the_times_of_the_file(tmp_path: Path) -> None:
+    """Images of an uneven rate keep their times; another order of the half frames than the scene's is refused."""
+    loaded = load_scene("atv")
+    camera = loaded.value.camera.model_copy(update={"width": SHAPE[1], "height": SHAPE[0]})
+    scene = Loaded(loaded.value.model_copy(update={"camera": camera, "fps": 25.0}), "scene.json", {})
+    times = [0, 40, 87, 120, 160]
+    uneven = written(tmp_path / "a.mkv", times, base=Fraction(1, 1000))
+    found = list(open_source(str(uneven), scene))
+    np.testing.assert_allclose([frame.t_s for frame in found], np.array(times) / 1000.0, atol=1e-9)
+    woven = written(tmp_path / "b.mkv", range(3), "libx264", "yuv420p", options={"x264-params": "bff=1"})
+    halves = Loaded(scene.value.model_copy(update={"fields": "upper_first"}), "scene.json", {})
+    for given in (scene, halves):
+        with pytest.raises(BadInput, match=r"fields of scene\.json: .*: the video is interlaced, lower_first"):
+            list(open_source(str(woven), given))

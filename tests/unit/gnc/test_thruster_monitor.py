@@ -95,7 +95,9 @@ class CoarseChaser(MonitoredChaser):
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_readings_of_a_coarse_imu_repeat_and_are_sound_if_it_is_told(rng: np.random.Generator, told: bool) -> None:
+def test_readings_of_a_coarse_imu_repeat_and_are_sound_with_its_resolution(
+    rng: np.random.Generator, told: bool
+) -> None:
     scenario = load_scenario("scheme-1", QUANTA if told else ()).value
     chaser = CoarseChaser(gnc_params.thruster_monitor(scenario), rng)
     for cycle in range(3000):

@@ -305,3 +305,8 @@ def fault_text(code: int) -> str:
     """Return code and name of an error code (object 0x603F or EMCY)."""
     name = FAULT_NAMES.get(code) or FAULT_NAMES.get(code & 0xFF00) or "not in the profile's table"
     return f"fault 0x{code:04X} ({name})"
+
+
+def power_of_ten(exponent: int) -> float:
+    """Return 10^exponent, rounded correctly: ``**`` of the C library is not."""
+    return float(f"1e{exponent}")

@@ -234,13 +234,13 @@ class DriveSetup:
         """Write the time over which the drive interpolates between two setpoints, which is that between them."""
         if self._eds.can_write(codec.INTERPOLATION_PERIOD, 1):
             exponent = -3 if period_s >= 1e-3 and abs(1e3 * period_s - round(1e3 * period_s)) < 0.05 else -4
-            while period_s * 10.0**-exponent > 255.0:
+            while period_s * codec.power_of_ten(-exponent) > 255.0:
                 exponent += 1
             if self._eds.can_write(codec.INTERPOLATION_PERIOD, 2):
                 self.set(codec.INTERPOLATION_PERIOD, exponent, 1, 2)
             elif (fixed := self.read(codec.INTERPOLATION_PERIOD, 2)) is not None:
                 exponent = fixed
-            self.set(codec.INTERPOLATION_PERIOD, round(period_s * 10.0**-exponent), 1, 1)
+            self.set(codec.INTERPOLATION_PERIOD, round(period_s * codec.power_of_ten(-exponent)), 1, 1)
         elif self._eds.can_write(codec.CYCLE_PERIOD):
             self.set(codec.CYCLE_PERIOD, round(1e6 * period_s), 4)
 

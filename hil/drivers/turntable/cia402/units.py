@@ -90,7 +90,7 @@ def units_of(config: Cia402, read: ReadObject) -> Units:
 def _split(unit: int) -> tuple[float, int, int]:
     """Return factor, numerator and denominator of a unit."""
     prefix = (unit >> 24) & 0xFF
-    return 10.0 ** (prefix - 256 if prefix > 127 else prefix), (unit >> 16) & 0xFF, (unit >> 8) & 0xFF
+    return codec.power_of_ten(prefix - 256 if prefix > 127 else prefix), (unit >> 16) & 0xFF, (unit >> 8) & 0xFF
 
 
 def _ratio(read: ReadObject, index: int) -> float | None:
