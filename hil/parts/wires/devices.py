@@ -111,7 +111,7 @@ def _axes(group: AxisGroup, unit: str, clock: WallClock, promised_hz: float) -> 
         group.close()
 
     checked = _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
-    return [checked, *(PreflightCheck(f"drives of {group.name}", None, fact) for fact in facts)]
+    return [checked, *(PreflightCheck(f"drives of {group.name}", True, fact) for fact in facts)]
 
 
 def _exchange_rate(group: AxisGroup, clock: WallClock, promised_hz: float) -> str:
