@@ -156,7 +156,7 @@ class Cia402Link:
         if now_s - self._guarded_s < _WATCHDOG_S / codec.GUARDS_PER_LIFE:
             return
         self._guarded_s = now_s
-        means = {node.setup.watchdog for node in self._nodes if node.setup is not None}
+        means = {each for node in self._nodes if node.setup is not None for each in node.setup.watchdogs}
         if codec.HEARTBEAT_GUARD in means:
             port.send((codec.HEARTBEAT_ID + self._wire.master_id, bytes((codec.OPERATIONAL,))))
         if codec.LIFE_GUARD in means:

@@ -82,7 +82,7 @@ class DriveSetup:
 
     others: handler of received frames that are not SDO responses of this drive. clock: of the time-outs.
     Set by ``configure``: units, stream (mode of operation that follows setpoints), has_offset and has_velocity (whether
-    the setpoint holds a velocity, the feedback one), watchdog ("" for none), beats (whether it sends heartbeats).
+    the setpoint holds a velocity, the feedback one), watchdogs, beats (whether it sends heartbeats).
     """
 
     def __init__(
@@ -103,7 +103,9 @@ class DriveSetup:
         self.units = Units(1.0, None)
         self.stream = codec.CYCLIC_SYNCHRONOUS_POSITION
         self.has_offset = self.has_velocity = False
-        self.watchdog, self.watchdog_s = "", 0.0
+        self.watchdogs: list[str] = []
+        self.watchdog_s = 0.0
+        self._enabled_since_s: float | None = None
         self.beats = False
         self.position = 0
 
@@ -148,10 +150,13 @@ class DriveSetup:
         self._map_either(codec.STATUS_PDO, codec.STATUS_PDO_PLAIN)
         self._time_status(timeout_s)
         self._guard(watchdog_s, heartbeat_s, master)
-        if self._eds.can_write(codec.QUICK_STOP_OPTION):
-            self.set(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_STAYS, 2)
+        self._set_reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS)
         self._set_period(period_s)
         self.request_mode(self.stream)
+
+    def _set_reaction(self, index: int, wanted: tuple[int, ...]) -> None:
+        if (code := self._eds.reaction(index, wanted)) is not None:
+            self.set(index, code, 2)
 
     def _choose_stream(self) -> None:
         """Choose the mode that follows setpoints, of those that the connected drive supports."""
@@ -194,18 +199,20 @@ class DriveSetup:
     def _guard(self, watchdog_s: float, heartbeat_s: float, master: int) -> None:
         """Set up the drive's watchdog over the bench, and its heartbeat."""
         time_ms, self.watchdog_s = round(1000.0 * watchdog_s), watchdog_s
-        self.watchdog = self._choose_watchdog(time_ms, master)
-        beat_ms = round(1000.0 * heartbeat_s) if self.watchdog != codec.LIFE_GUARD else 0
+        self.watchdogs = self._set_watchdogs(time_ms, master)
+        beat_ms = round(1000.0 * heartbeat_s) if codec.LIFE_GUARD not in self.watchdogs else 0
         produces = self.read(codec.HEARTBEAT_PRODUCER) is not None and self._eds.can_write(codec.HEARTBEAT_PRODUCER)
-        self.beats = self.watchdog == codec.LIFE_GUARD or produces
+        self.beats = codec.LIFE_GUARD in self.watchdogs or produces
         if produces:
             self.set(codec.HEARTBEAT_PRODUCER, beat_ms, 2)
-        if self._eds.can_write(codec.ABORT_CONNECTION_OPTION):
-            self.set(codec.ABORT_CONNECTION_OPTION, codec.ABORT_QUICK_STOPS, 2)
+        self._set_reaction(codec.ABORT_CONNECTION_OPTION, codec.ABORT_REACTIONS)
 
-    def _choose_watchdog(self, time_ms: int, master: int) -> str:
-        """Set the first watchdog that the drive accepts, return it. Raises ProtocolError if it refuses all it has."""
-        refused: ProtocolError | None = None
+    def _set_watchdogs(self, time_ms: int, master: int) -> list[str]:
+        """Set all watchdogs that the drive accepts; return them. Raises ProtocolError if it refuses all it has.
+
+        Some drives accept a setpoint time-out that they do not monitor: a heartbeat is consumed as well.
+        """
+        accepted, refused = [], None
         for means in self._eds.watchdogs():
             try:
                 if means == codec.SETPOINT_TIME_OUT:
@@ -218,10 +225,10 @@ class DriveSetup:
             except ProtocolError as error:
                 refused = error
             else:
-                return means
-        if refused is not None:
+                accepted.append(means)
+        if refused is not None and not accepted:
             raise refused
-        return ""
+        return accepted
 
     def _set_period(self, period_s: float) -> None:
         """Write the time over which the drive interpolates between two setpoints, which is that between them."""
@@ -333,6 +340,7 @@ class DriveSetup:
         if self._state() is DriveState.ENABLED:
             self.put(codec.CONTROLWORD, codec.QUICK_STOP, 2)
         self.position = self.hold()
+        self._enabled_since_s = None
 
     def continue_enabling(self, standstill_radps: float) -> bool:
         """Take the next step towards operation enabled, at the present position; return whether it is.
@@ -350,9 +358,13 @@ class DriveSetup:
             self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
         if state is not DriveState.ENABLED:
             return False
-        if not self.await_mode(self.stream) and self.displays(self.stream) is False:
+        now_s = self._clock.host_s()
+        self._enabled_since_s = self._enabled_since_s or now_s
+        if self.displays(self.stream) is not False:
+            return True
+        if now_s - self._enabled_since_s > LAG_WALL_S:
             raise self.stays_in_another(self.stream)
-        return True
+        return False
 
     def not_enabled(self, timeout_s: float) -> LinkTimeout:
         """Return the error of a drive that is not enabled in time."""
@@ -452,7 +464,8 @@ class DriveSetup:
                 raise
             kept = codec.PDO_NO_RTR
             self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
-        self.set(pdo.parameter, pdo.transmission, 1, subindex=2)
+        if self._eds.can_write(pdo.parameter, 2) or pdo.parameter >= codec.FEEDBACK_PDO.parameter:
+            self.set(pdo.parameter, pdo.transmission, 1, subindex=2)  # a fixed one of a setpoint: it acts at once
         mapping = [index << 16 | subindex << 8 | bits for index, subindex, bits in pdo.mapping]
         if not self._has_mapping(pdo.mapping_index, mapping):
             self.put(pdo.mapping_index, 0, 1)
