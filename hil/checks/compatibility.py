@@ -14,6 +14,7 @@ from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
 from hil.checks.abort import check_transfers
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
+from hil.checks.vehicle import check_vehicle
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
@@ -54,7 +55,11 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    return check_transfers(scenario) or [*check_target_motion(scenario, rig), *check_reachability(scenario, rig)]
+    return check_transfers(scenario) or [
+        *check_vehicle(scenario),
+        *check_target_motion(scenario, rig),
+        *check_reachability(scenario, rig),
+    ]
 
 
 def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:

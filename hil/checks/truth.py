@@ -60,9 +60,9 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
 def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     orbit, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
-    if not 0.0 <= orbit.eccentricity < 0.1:
+    if not 0.0 <= orbit.eccentricity <= 0.7:
         key = "gnc.ephemeris.eccentricity_error"
-        text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to below 0.1"
+        text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to 0.7"
         problems.append(Problem(scenario.where(key), key, text))
     if orbit.altitude_m <= 0.0:
         key = "gnc.ephemeris.semi_major_axis_error_m"

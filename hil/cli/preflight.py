@@ -23,6 +23,7 @@ def preflight(
     json: File = None,
     devices: Flag = False,
     operator_key: str | None = None,
+    eds: str | None = None,
 ) -> int:
     """Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.
 
@@ -38,7 +39,11 @@ def preflight(
         Also open rails and turntable of a hardware rig: the drives are enabled and hold their positions.
     operator_key
         The operator's key file, by hil operators add: the record of a hardware rig has its name, and is sealed with it.
+    eds
+        Data sheet of a CiA 402 drive, EDS or DCF: show what the driver would use of it, and check nothing else.
     """
+    if eds is not None:
+        return _describe(eds)
     from hil.checks.signed_record import write_record
     from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario
@@ -76,3 +81,17 @@ def preflight(
         word = "[bold green]PASS[/]" if report.passed else f"[bold red]FAIL[/]: {failed} of {len(report.checks)} checks"
         console.print(word, highlight=False)
     return _PASSED if report.passed else _FAILED
+
+
+def _describe(path: str) -> int:
+    """Show what the driver uses of a data sheet."""
+    from hil.core.part import provided
+
+    describe = provided("rig.turntable.driver=cia402: description", path)
+    table = Table(title=f"CiA 402 drive of {path}")
+    for heading in ("what", "found", "what to do"):
+        table.add_column(heading, overflow="fold")
+    for finding in describe(Path(path)):
+        table.add_row(*map(escape, finding))
+    Console().print(table)
+    return _PASSED

@@ -17,6 +17,10 @@ ACTIONS: Final = ("identify", "enable", "set", "hold", "quick_stop", "clear_faul
 Bit = Annotated[int, Field(ge=1, le=0xFFFF_FFFF)]
 Digits = Annotated[int, Field(ge=1, le=8)]
 Printable = Annotated[str, Field(pattern=r"^[ -~]*$")]
+StatusName = Literal[
+    "enabled", "fault", "quick_stopped", "moving", "homed", "not_homed", "homing", "homing_failed", "limit_low",
+    "limit_high",
+]  # fmt: skip
 Names = dict[str, str]  # number, decimal or 0x..., and its meaning
 
 
@@ -44,6 +48,8 @@ class LineFraming(ConfigModel):
     """Characters before a reply."""
     reply_end: Annotated[str, Field(min_length=1)] = "\r\n"
     """Characters after it."""
+    echo: bool = False
+    """The controller repeats each request before its reply."""
     longest_bytes: Annotated[int, Field(ge=16, le=4096)] = 256
     """Longest line."""
 
@@ -112,8 +118,8 @@ class Step(ConfigModel):
 
     send: str
     """Template of the request."""
-    reply: str
-    """Name of the reply in `[replies]`."""
+    reply: str = ""
+    """Name of the reply in `[replies]`; unless set, the controller does not reply."""
     each_axis: bool = False
     """Send once per axis."""
 
@@ -236,12 +242,27 @@ class Protocol(ConfigModel):
     """Template of each reply by name. Those to `status` must contain position and status of each axis; a missing rate
     is computed from positions. If those to `set` contain the same, `status` is not requested in each cycle."""
     errors: ErrorReply | None = None
-    status: AxisStatusBits
+    status: AxisStatusBits | None = None
+    """Bits of the status; omitted with `status_words`."""
+    status_words: dict[str, tuple[StatusName, ...]] = Field(default_factory=dict)
+    """Meaning of each text, of a controller that reports its status as text: names of keys of `[status]`."""
     faults: FaultNames = FaultNames()
     emulator: EmulatorWords = EmulatorWords()
 
+    @property
+    def bits(self) -> AxisStatusBits:
+        """Status bits, of the file or of its words."""
+        meanings = dict.fromkeys(name for each in self.status_words.values() for name in each)
+        return self.status or AxisStatusBits.model_validate({name: 1 << k for k, name in enumerate(meanings)})
+
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Self:
+        if (self.status is None) != bool(self.status_words):
+            raise ValueError("status: give either [status] or [status_words]")
+        if self.status is None and not {"enabled", "fault"} <= {
+            name for each in self.status_words.values() for name in each
+        }:
+            raise ValueError("status_words: no word means enabled, or none fault, allowed: both")
         if len(set(self.axes)) != 3:
             raise ValueError(f"axes: {list(self.axes)}: must be three different names")
         units = (self.fields.position.unit, self.fields.rate.unit)
@@ -276,7 +297,7 @@ class Protocol(ConfigModel):
         """Return (field, axis name) of all values in the replies to an action."""
         given = set()
         for step in getattr(self.requests, action):
-            for _, field in template_places(self.replies[step.reply]):
+            for _, field in template_places(self.replies.get(step.reply, "")):
                 name, _, axis = field.partition(".")
                 given |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
         return given
@@ -288,6 +309,10 @@ class Protocol(ConfigModel):
             warnings.append(f"protocol {self.name}: no sequence number: a late reply can be mistaken for a new one")
         if self.checksum.kind == "none":
             warnings.append(f"protocol {self.name}: no checksum: a corrupted line can be accepted")
+        silent = [action for action, step in self.steps() if not step.reply]
+        if silent:
+            actions = ", ".join(dict.fromkeys(silent))
+            warnings.append(f"protocol {self.name}: no reply to {actions}: a lost request is found by the status alone")
         return warnings
 
     def _check_step(self, action: str, step: Step) -> None:
@@ -295,6 +320,8 @@ class Protocol(ConfigModel):
         setpoints = [name for name in _axis_fields(step.each_axis) if name.split(".")[0] in ("position", "rate")]
         allowed = [*(["axis"] if step.each_axis else []), *(setpoints if action == "set" else [])]
         _check_template(f"{key}: send", step.send, allowed)
+        if not step.reply and action in ("set", "enable", "quick_stop", "clear_faults", "hold", "home"):
+            return
         if step.reply not in self.replies:
             raise ValueError(
                 f"{key}: reply {step.reply!r}: allowed are the names in [replies]: {_listed(self.replies)}"
@@ -315,7 +342,7 @@ class Protocol(ConfigModel):
                     raise ValueError(f"requests.status: no reply has the {name} of {axis}")
 
     def _check_homing(self) -> None:
-        bits = self.status
+        bits = self.bits
         if bits.homed is not None and bits.not_homed is not None:
             raise ValueError("status: homed and not_homed are redundant: give one of them")
         if self.requests.home and (bits.homing is None or (bits.homed is None and bits.not_homed is None)):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
+from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
 from hil.config.tables.guard import BenchBody, GuardConfig, check_kinds
@@ -240,12 +242,23 @@ class Cia402(ConfigModel):
     """Bit rate of the bus, bit/s."""
     baud: Annotated[int, Field(gt=0)] = 1_000_000
     """Baud rate of a serial adapter."""
+    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Further arguments of that interface, such as `host` and `port` of socketcand."""
     node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Node ids of roll, pitch, yaw; of further axes also of a, b, c."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
-    """Encoder counts per revolution of the axis."""
+    """Position units of the drive per revolution of the axis."""
+    gear_ratio: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
+    """Revolutions of the drive's shaft per revolution of the axis, by a gear outside the drive."""
+    velocity_units_per_degps: Positive | None = None
+    """Velocity units of the drive per deg/s of the axis; default: by object 0x60A9. With neither, rates are those of
+    the positions, and nothing that needs the unit is sent."""
+    bench_node_id: NodeId | None = None
+    """Node id of the bench, of its heartbeat and SYNC; default: 128 less the smallest of `node_ids`."""
+    enable_timeout_s: Annotated[float, Field(ge=0.5, le=25.0)] = 10.0
+    """Longest time from reset to operation enabled, with the search for the commutation angle."""
     eds_file: str | None = None
-    """EDS of the drives; default: the emulated drive's."""
+    """EDS or DCF of the drives; default: the emulated drive's."""
     heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05
     """Heartbeat period of a drive."""
     homing_method: Annotated[int, Field(ge=-128, le=37)] = 24
@@ -258,11 +271,20 @@ class Cia402(ConfigModel):
     """Oldest accepted object 0x1018:3."""
     firmware: str | None = None
     """Expected object 0x100A."""
+    emulated: DriveHabits = DriveHabits()
+    """Habits of the emulated drives."""
+
+    @property
+    def master_id(self) -> int:
+        """Node id of the bench on this bus."""
+        return 128 - min(self.node_ids) if self.bench_node_id is None else self.bench_node_id
 
     @model_validator(mode="after")
     def _nodes_differ(self) -> Self:
         if len(set(self.node_ids)) != len(self.node_ids):
             raise ValueError(f"node_ids {list(self.node_ids)} must differ from each other")
+        if self.master_id in self.node_ids:
+            raise ValueError(f"bench_node_id {self.master_id}: is one of node_ids, allowed: any other node id")
         return self
 
 
@@ -276,8 +298,10 @@ class SerialLine(ConfigModel):
 
 
 class AsciiTurntableLine(SerialLine):
-    """Serial port and command set of the turntable controller."""
+    """Serial port, or address on Ethernet, and command set of the turntable controller."""
 
+    port: str | None = None
+    """Serial port, or `tcp://HOST:PORT`."""
     protocol: str = "hil-ascii"
     """Command set: `hil-ascii`, `acu` or the path of a protocol file."""
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)
@@ -859,6 +883,37 @@ class Rig(FileTable):
                     raise ValueError(
                         f"io.torque_delay_s {delay_s:g}: allowed from {key}.{name}.brake.close_s {axis.brake.close_s:g}"
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _wires_have_one_user(self) -> Self:
+        """A serial port has one driver; groups of CiA 402 drives may share a bus, with node ids of their own.
+
+        Emulators make the wires of other rigs.
+        """
+        if self.kind != "hardware":
+            return self
+        users: dict[str, str] = {}
+        nodes: dict[tuple[object, ...], str] = {}
+        for key, table in self.device_tables().items():
+            can = getattr(table, "cia402", None) if table.driver == "cia402" else None
+            for wire in table.wires(key):
+                name = f"{wire.kind} {wire.address}"
+                if wire.kind != "serial" or wire.address in (None, os.devnull):  # the null device connects nothing
+                    continue
+                if name in users:
+                    raise ValueError(f"{wire.key}: {wire.address} is also {users[name]}, allowed: a port of its own")
+                users[name] = wire.key
+            if not isinstance(can, Cia402) or can.channel is None or not isinstance(table, AxisGroupTable):
+                continue
+            for node_id in (*(can.node_ids[axis] for axis in table.axis_numbers), can.master_id):
+                bus = (can.interface, can.channel, node_id)
+                if bus in nodes:
+                    raise ValueError(
+                        f"{key}.cia402: node id {node_id} on {can.channel} is also one of {nodes[bus]}, "
+                        "allowed: others (node_ids, bench_node_id)"
+                    )
+                nodes[bus] = key
         return self
 
     @property

@@ -262,6 +262,8 @@ class AttitudeFilter(ConfigModel):
 
     gyro_noise_degps: Annotated[Positive, Live(1e-8, 1.0)]
     """Noise of a gyro sample."""
+    gyro_quantum_degps: NotNegative = 0.0
+    """Resolution of a gyro sample, by the data sheet: what it cuts off comes with the next ones."""
     gyro_drift_noise_degps2: Annotated[NotNegative, Live(0.0, 0.1)]
     """Random walk of the drift."""
     gyro_drift_degps: Triple
@@ -275,6 +277,8 @@ class PositionFilter(ConfigModel):
 
     accelerometer_noise_mps2: Annotated[Positive, Live(1e-8, 0.1)]
     """Noise of an accelerometer sample."""
+    accelerometer_quantum_mps2: NotNegative = 0.0
+    """Resolution of an accelerometer sample, as that of the gyros."""
     accelerometer_bias_noise_mps3: Annotated[NotNegative, Live(0.0, 0.01)]
     """Random walk of the bias."""
     accelerometer_bias_mps2: Triple
@@ -433,8 +437,8 @@ class NavigationIntegrity(ConfigModel):
     """Probability that docking is a go although an error exceeds the requirement: 1e-4 is 3.9 standard deviations."""
     go_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.75
     """Of the requirements, within which the encoders must be for a go; the rest is for the control error after it."""
-    go_cusum_sigmas: Positive = 12.0
-    """Docking is no go while a sum of the CUSUM is larger."""
+    go_alarm_interval_s: Annotated[float, Field(ge=60.0, le=1e8)] = 36_000.0
+    """Mean time between two withdrawals of a go by the innovations of sound poses; sets the sum that ends one."""
     vision_range_m: Positive | None = None
     """Range up to which poses are expected: farther out vision cannot be lost; unless set, everywhere."""
     pose_range_max_m: Positive = 100.0
@@ -712,6 +716,8 @@ class Requirements(ConfigModel):
     """Time for which every row must hold before the ready phase starts."""
     required_ready_s: NotNegative = 30.0
     """Shortest ready phase that passes."""
+    go_valid_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 30.0
+    """Time for which a go promises the ready state, without a new failure."""
 
     propellant_factor: Positive = 3.0
     """Allowed propellant over the impulsive minimum of reference and slews."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -124,6 +125,10 @@ class Tolerances(ConfigModel):
     """Time between the exposures of both cameras: 0 with a common trigger."""
 
 
+def _length(vector: Sequence[float]) -> float:
+    return math.sqrt(sum(x * x for x in vector))
+
+
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
@@ -151,10 +156,10 @@ class VmuGeometry(ConfigModel):
     @model_validator(mode="after")
     def _sizes_are_of_a_bench(self) -> Self:
         for name, points, largest in (("baseline_m", (self.baseline_m,), _BASELINE_M), ("leds_m", self.leds_m, _LED_M)):
-            longest = max(math.hypot(*point) for point in points)
+            longest = max(_length(point) for point in points)
             if longest > largest:
                 raise ValueError(f"{name}: {longest:g} m, allowed {largest:g} m: millimetres?")
-        turn = math.hypot(*self.right_rotation_rad)
+        turn = _length(self.right_rotation_rad)
         if turn > math.pi + 1e-9:
             raise ValueError(f"right_rotation_rad: {turn:g} rad, allowed 3.1416 rad: degrees?")
         for side in ("left", "right"):

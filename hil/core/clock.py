@@ -103,8 +103,11 @@ class BenchClock(Clock, Protocol):
     def event(self) -> ClockEvent:
         """Return an event, whose wait has its time-out in wall time."""
 
-    def wire(self, key: str, end: int) -> WireEnd:
-        """Return an end of the serial line ``key``: 0 of the emulated device, 1 of its driver."""
+    def wire(self, key: str, end: int, of_line: bool = True) -> WireEnd:
+        """Return an end of the wire ``key``: 0 of the emulated device, 1 of its driver.
+
+        of_line: a serial line, rather than a connection.
+        """
 
     def new_event_loop(self) -> asyncio.AbstractEventLoop:
         """Return an event loop whose time is wall time."""
@@ -197,7 +200,7 @@ class WallClock:
     def event(self) -> threading.Event:
         return threading.Event()
 
-    def wire(self, key: str, end: int) -> PlainWire:
+    def wire(self, key: str, end: int, of_line: bool = True) -> PlainWire:
         return PlainWire()
 
     def new_event_loop(self) -> asyncio.AbstractEventLoop:

@@ -75,6 +75,22 @@ class LimitsSetpoints(Protocol):
 
 
 @runtime_checkable
+class Streams(Protocol):
+    """An axis group whose drives interpolate between setpoints, over the time between them."""
+
+    def set_period(self, period_s: float) -> None:
+        """Expect a setpoint every ``period_s``, from the next ``open`` on."""
+
+
+@runtime_checkable
+class Describes(Protocol):
+    """An axis group that reports what it uses of its drives."""
+
+    def facts(self) -> list[str]:
+        """Return the mode, units and watchdog of each opened drive, a line each."""
+
+
+@runtime_checkable
 class Parks(Protocol):
     """An axis group with profiled moves."""
 
@@ -92,6 +108,14 @@ class CountsExchanges(Protocol):
 
     def exchanges(self) -> tuple[int, float]:
         """Return the number of samples of all axes since ``open``, and bench time of the newest, s."""
+
+
+@runtime_checkable
+class CountsPackets(Protocol):
+    """A device that counts its exchanges and what went wrong in them."""
+
+    def counters(self) -> dict[str, int]:
+        """Return the counts since ``open`` by name; ``exchanges`` is one of them."""
 
 
 @runtime_checkable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+from pathlib import Path
 from typing import Any, Final
 
 import serial
@@ -10,11 +11,12 @@ import serial
 from hil.core.clock import BenchClock
 from hil.core.part import provided
 
+_TTY: Final = Path("/sys/class/tty")
 _HANDLERS: Final = "hil.parts.emulation.serial_urls"
 
 
 def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> serial.Serial:
-    """Return the serial port ``path``, open, without the bytes that were received before.
+    """Return the serial port ``path``, open, at low latency, without the bytes that were received before.
 
     settings: further arguments of pyserial; its time-outs are wall time, bench time in lock-step. Raises OSError,
     ValueError or termios.error.
@@ -22,8 +24,26 @@ def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> ser
     if is_counted(clock):
         return provided("rig.host.time=lock_step: serial")(clock, path, baud, **settings)
     port = serial.Serial(path, baud, **settings)
+    set_low_latency(port)
     port.reset_input_buffer()
     return port
+
+
+def set_low_latency(port: Any) -> bool:
+    """Let the adapter of a port pass on each byte at once, FTDI's wait up to 16 ms; return whether its driver can."""
+    try:
+        port.set_low_latency_mode(True)
+    except (AttributeError, OSError, ValueError):
+        return False
+    return True
+
+
+def latency_timer_ms(path: str, folder: Path = _TTY) -> int | None:
+    """Return the time that the adapter of a port collects bytes for, ms; None for one that does not."""
+    try:
+        return int((folder / Path(path).resolve().name / "device" / "latency_timer").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None
 
 
 def is_counted(clock: BenchClock) -> bool:

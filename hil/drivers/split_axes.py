@@ -12,7 +12,7 @@ import numpy as np
 from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock, Order
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource, full_names
+from hil.drivers.base import AxisGroup, Describes, Jogs, LimitsSetpoints, Parks, PoseSource, Streams, full_names
 from hil.errors import BenchError
 
 
@@ -55,6 +55,16 @@ class SplitAxes:
         for part in self._parts:
             if isinstance(part.axes, Jogs):
                 part.axes.set_jogging(on)
+
+    def set_period(self, period_s: float) -> None:
+        """Expect a setpoint every ``period_s``, from the next ``open`` on."""
+        for part in self._parts:
+            if isinstance(part.axes, Streams):
+                part.axes.set_period(period_s)
+
+    def facts(self) -> list[str]:
+        """Return what the drivers use of the opened drives, a line each."""
+        return [line for part in self._parts if isinstance(part.axes, Describes) for line in part.axes.facts()]
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
         """Set the limits (n,) within which the axes catch up after a gap in the setpoints."""
@@ -136,9 +146,12 @@ class RigDrivers:
     poses: PoseSource
 
 
-def make_drivers(rig: Rig, clock: BenchClock) -> RigDrivers:
-    """Return the drivers of all axes and of the vision unit."""
+def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> RigDrivers:
+    """Return the drivers of all axes and of the vision unit. period_s: of the setpoints; None: at any time."""
     axes = {name: make_axes(table, clock, name) for name, table in rig.axis_groups.items()}
+    for group in axes.values():
+        if period_s is not None and isinstance(group, Streams):
+            group.set_period(period_s)
     return RigDrivers(axes, rig.vmu.make_driver(clock))
 
 

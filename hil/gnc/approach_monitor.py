@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.gnc import guidance
-from hil.maths import quat, stack
+from hil.gnc import docking_go, guidance
+from hil.maths import stack
 from hil.maths.arrays import copy_into
 from hil.models.bodies import BODIES, are_apart, chord, clearance
 
@@ -33,26 +33,8 @@ _FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
 
-GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED, FIRING = range(7)
-"""What an estimate lacks for a go, GO if nothing; UNBOUNDED: a protection level exceeds its alert limit; FIRING: the
-smallest firing about an axis is too large for the required rate."""
 BREAK = np.dtype([("value", "f8"), ("limit", "f8")], align=True)
 """Value of a quantity that has broken its limit, and the limit."""
-
-GO_CHECK = np.dtype(
-    [
-        ("level_m", "f8", 3),  # of the navigation, with the risk of a go; 0: it has none
-        ("known", "i8"),  # 1: the estimate has been compared with the encoders
-        ("off", "f8", 6),  # mean of estimate minus encoders: position in H, m, rotation in c, rad
-        ("firing", "f8", 3),  # rad/s, smallest change of the rate about each axis by a firing
-        ("lacks", "i8"),
-        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations; of the others: those, then the rates of both
-        ("value", "f8"),  # m, rad, m/s, rad/s
-        ("limit", "f8"),
-    ],
-    align=True,
-)
-"""What a go requires beyond the ready state of the estimate, and what was missing last."""
 
 APPROACH_MONITOR_PARAMS = np.dtype(
     [
@@ -88,6 +70,7 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("across_share", "f8"),  # of what else is in a component's level, of two components
         ("go_sigmas", "f8"),  # of an estimate without a level of its own
         ("go_fraction", "f8"),  # of the tolerances within which the encoders must be
+        ("dwell_s", "f8"),  # for which the ready state must have held for docking to be a go
     ],
     align=True,
 )
@@ -230,73 +213,10 @@ def largest_share(levels, limits):
 
 
 @kernel
-def _lack(go, what, axis, value, limit):
-    """Write what is missing for a go."""
-    go.lacks, go.axis, go.value, go.limit = what, axis, value, limit
-    return False
-
-
-@kernel
 def has_converged(params, estimate, share, converged_mps):
     """Return whether the filters have converged: level over limit ``share``, allowance of the closing rate, m/s."""
     # the level rises a little while the filters have few poses
     return share <= _CONVERGED_SHARE and params.confidence * largest_sigma(estimate.sigma_v_mps) <= converged_mps
-
-
-@kernel
-def _is_ready(params, estimate, beyond, go):
-    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go``: see ``_is_go``.
-
-    beyond: 1 if a protection level exceeds its alert limit. Angles are those of a rotation vector.
-    """
-    for i in range(3):
-        deviation = abs(estimate.r_CT_H[i] - params.ready_point[i])
-        if not deviation <= params.ready_distance[i]:
-            return _lack(go, DEVIATION, i, deviation, params.ready_distance[i])
-        if not abs(estimate.v_CT_H[i]) <= params.ready_rate[i]:
-            return _lack(go, DEVIATION, 6 + i, abs(estimate.v_CT_H[i]), params.ready_rate[i])
-        if not abs(estimate.w_CH_C[i]) <= params.ready_angular_rate:
-            return _lack(go, DEVIATION, 9 + i, abs(estimate.w_CH_C[i]), params.ready_angular_rate)
-    rotation = stack.vector(3)
-    quat.to_rotation_vector_into(estimate.q_CH, rotation)
-    for i in range(3):
-        if not abs(rotation[i]) <= params.ready_angle:
-            return _lack(go, DEVIATION, 3 + i, abs(rotation[i]), params.ready_angle)
-    if estimate.health != 0:
-        return _lack(go, HEALTH, 0, 0.0, 0.0)
-    return True if beyond == 0 else _lack(go, UNBOUNDED, 0, 0.0, 0.0)
-
-
-@kernel
-def _is_go(params, estimate, beyond, go):
-    """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
-
-    The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
-    pose, the estimate less its mean error, within a part of it, which leaves room for the control error. A
-    smallest firing from rest has to keep the required rate.
-    """
-    if not _is_ready(params, estimate, beyond, go):
-        return False
-    for i in range(3):
-        if not go.firing[i] <= params.ready_angular_rate:
-            return _lack(go, FIRING, 9 + i, go.firing[i], params.ready_angular_rate)
-    rotation = stack.vector(3)
-    quat.to_rotation_vector_into(estimate.q_CH, rotation)
-    for i in range(3):
-        deviation, level = estimate.r_CT_H[i] - params.ready_point[i], go.level_m[i]
-        if estimate.sigma_r_m[i] > 0.0:
-            level = max(level, params.go_sigmas * estimate.sigma_r_m[i])
-        if not abs(deviation) + level <= params.ready_distance[i]:
-            return _lack(go, LEVEL, i, abs(deviation) + level, params.ready_distance[i])
-        if go.known != 0:
-            allowed = params.go_fraction * params.ready_distance[i]
-            if not abs(deviation - go.off[i]) <= allowed:
-                return _lack(go, ENCODERS, i, abs(deviation - go.off[i]), allowed)
-            allowed = params.go_fraction * params.ready_angle
-            if not abs(rotation[i] - go.off[3 + i]) <= allowed:
-                return _lack(go, ENCODERS, 3 + i, abs(rotation[i] - go.off[3 + i]), allowed)
-    go.lacks = GO
-    return True
 
 
 @kernel
@@ -325,13 +245,11 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, supervision)
     """
     if estimate.valid == 0:
         supervision.ready_since_s = np.nan
+        go.given = 0
         return False
     supervision.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
     supervision.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
-    if not _is_go(params, estimate, reactions.beyond, go):
-        supervision.ready_since_s = np.nan
-    elif not supervision.ready_since_s <= t_s:
-        supervision.ready_since_s = t_s
+    docking_go.update(params, t_s, estimate, reactions.beyond, go, supervision)
     if supervision.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED

@@ -7,7 +7,7 @@ The switching function of an axis is
 with the error ``e``, its rate, a lead time ``tau`` and the acceleration ``a`` that the axis has. Its
 last term is the parabola on which a full-thrust braking ends at rest; ``tau`` damps and leads lag and
 noise. ``e`` is cut to ``tau`` times the greatest rate at which an error may be worked off, so a large
-error is approached at that rate and not with one long burst each way.
+error is approached at that rate and not with one long burst each way; never to what the dead band hides.
 
 An axis decides once per period. Lead, dead band and burns follow from the noise of navigation and from the smallest
 change of rate d that the valves can fire (docs/explanation/control.md derives them):
@@ -40,6 +40,8 @@ from hil.maths.arrays import fill
 COAST_OF_TOLERANCE = 0.25  # that a limit cycle may take at most: its coast of the tolerance, its firing of the rate
 _FIRED = 0.5  # of a smallest firing, from which on one is fired
 _JUST_FIRED = 0.51  # above it by a margin for rounding: 0.5 + 1e-7 flies as well
+_KNOWN = 3.0  # standard deviations of the rate within the correction rate
+_BEYOND = 0.75  # of what a smallest firing moves s by, beyond the dead band: half of one may be pending against it
 _SHARE = 0.5  # of the tolerance, of each of ripple and error
 
 CONTROL_PARAMS = np.dtype(
@@ -54,6 +56,8 @@ CONTROL_PARAMS = np.dtype(
         ("coast_max", "f8", 6),  # m, rad
         ("rate_max", "f8", 6),  # m/s, rad/s: of the requirement
         ("go_fraction", "f8"),  # of the requirements, within which docking is a go
+        ("go_s", "f8"),  # for which a go promises the ready state
+        ("drift", "f8", 6),  # m/s^2, rad/s^2: largest acceleration without thrust
         ("pulse_s", "f8"),  # least time for which a valve opens
         ("correction_rate", "f8", 6),  # m/s, rad/s: greatest rate at which an error is worked off
         ("period", "i8", 6),  # cycles
@@ -133,6 +137,17 @@ def ripple(sustained, pulse):
 
 
 @kernel
+def cut_error(params, axis, error, lead, band, pulse):
+    """Return the error, m or rad, cut to what is worked off at the correction rate, but beyond the dead band.
+
+    A vehicle with coarse firings has a dead band in which the correction rate alone would never fire. Arguments: see
+    ``burn_time``, ``modulation``.
+    """
+    reach = max(lead * params.correction_rate[axis], band + _BEYOND * lead * pulse)
+    return min(reach, max(-reach, error))
+
+
+@kernel
 def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, pending, coming):
     """Return the correction, m/s or rad/s, that the firings against a sustained acceleration give in addition.
 
@@ -143,9 +158,8 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
     noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
-    reach = lead * params.correction_rate[axis]
-    s = min(reach, max(-reach, error)) + lead * (rate + pending)
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
+    s = cut_error(params, axis, error, lead, band, pulse) + lead * (rate + pending)
     delta_v = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
     return sense * max(sense * delta_v, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
@@ -220,6 +234,23 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
 
 
 @kernel
+def held_error(params, axis, error, rate, sigma, sigma_rate, sustained, pulse):
+    """Return the largest error of an axis over the time of a go, m or rad, on the estimate.
+
+    If the axis coasts for that long without leaving its dead band, the largest error of the coast; else the edge of the
+    dead band and what a smallest firing travels until the next decision. Arguments as in ``update_axis``.
+    """
+    lead, noise, _, band = rule_of(params, axis, sigma, sigma_rate, pulse)
+    if is_steady(params, axis, error, sustained, pulse):
+        band = noise + ripple(sustained, pulse)
+    gained = params.drift[axis] * params.go_s
+    coasted = max(abs(error), abs(error + rate * params.go_s) + 0.5 * gained * params.go_s)
+    if coasted + lead * (abs(rate) + gained) <= band:
+        return coasted
+    return max(abs(error), band + pulse * params.period[axis] * params.dt_s)
+
+
+@kernel
 def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, feed_forward, sustained, acceleration, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
@@ -233,11 +264,12 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, feed_forward
         period, least, extra = params.period[axis], params.pulse_s, feed.extra_s
         shortest = least + extra
         pulse = acceleration * max(shortest, feed.pulse_s)
-        lead, _, coast, band = rule_of(params, axis, sigma, sigma_rate, pulse)
+        lead, noise, coast, band = rule_of(params, axis, sigma, sigma_rate, pulse)
         if command.boost != 0:
-            band = dead_band(lead, 0.0, coast, pulse)
-        reach = lead * params.correction_rate[axis]
-        cut = min(reach, max(-reach, error))
+            noise, band = 0.0, dead_band(lead, 0.0, coast, pulse)
+        # while the filters converge, errors that the noise of the rate hides wait
+        known = noise if _KNOWN * sigma_rate <= params.correction_rate[axis] else 0.0
+        cut = cut_error(params, axis, error, lead, dead_band(lead, known, coast, pulse), pulse)
         if params.predicts != 0 and command.boost == 0 and abs(error) <= band:
             bands = stack.vector(STEPS)
             bands[0] = band
@@ -360,3 +392,24 @@ def control(params, navigation, reference, feed, command):
             params.acceleration[3 + i],
             command,
         )
+
+
+@kernel
+def predict_hold(params, navigation, reference, feed, hold):
+    """Write ``held_error`` of each axis to ``hold`` (6,), m, rad, with c parallel to H, as within Table III.
+
+    Other arguments: see ``control``.
+    """
+    rotation = stack.vector(3)
+    quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
+    shortest = max(params.pulse_s + feed.extra_s, feed.pulse_s)
+    for i in range(3):
+        hold[i] = held_error(
+            params, i, navigation.r_CT_H[i] - reference.r_CT_H[i], navigation.v_CT_H[i] - reference.v_CT_H[i],
+            navigation.sigma_r_m[i], navigation.sigma_v_mps[i], feed.acceleration[i] if feed.rotates != 0 else 0.0,
+            params.acceleration[i] * shortest,
+        )  # fmt: skip
+        hold[3 + i] = held_error(
+            params, 3 + i, rotation[i], navigation.w_CH_C[i] - feed.rate_C[i], navigation.sigma_attitude_rad[i], 0.0,
+            feed.acceleration[3 + i] if feed.rotates != 0 else 0.0, params.acceleration[3 + i] * shortest,
+        )  # fmt: skip

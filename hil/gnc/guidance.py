@@ -47,6 +47,7 @@ GUIDANCE_PARAMS = np.dtype(
         ("abort_acceleration", "f8"),  # m/s^2, of the retreat
         ("brake", "f8"),  # m/s^2, of the brake before it
         ("path", "i8", MAX_PHASES),  # path of a moving phase
+        ("full_thrust", "i8", MAX_PHASES),  # 1: takes more than a demand gives, all thrusters that push that way
         ("attitude", "f8", (MAX_PHASES, 4)),  # at the end of a slew, whose speeds are in rad/s
         ("optimal", "i8", MAX_PHASES),  # impulses of a transfer: 1 any number, 0 two
         ("passive_s", "f8", MAX_PHASES),  # for which a drift after a missed burn stays beyond ``clear_range``; 0: any
@@ -381,7 +382,7 @@ def reference(params, state, t_s, out):
     copy_into(out.from_H, state.from_H)
     copy_into(out.to_H, state.to_H)
     out.phase = state.phase
-    out.boost = 1 if kind == BRAKE else 0
+    out.boost = 1 if kind == BRAKE or (state.phase < params.n_phases and params.full_thrust[state.phase] != 0) else 0
     _turned(state, _fraction(params, state, t_s), out.q_CH)
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)

@@ -58,6 +58,7 @@ REACTION_STATE = np.dtype(
         ("level", "f8", 3),  # protection levels along the docking axis, across it, m, of the attitude, rad ...
         ("limit", "f8", 3),  # ... with their alert limits
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
+        ("from_future", "i8"),  # poses so far that were stamped ahead of the loop
         ("broken", BREAK),  # of corridor or closing rate, m, m/s
     ],
     align=True,
@@ -116,6 +117,16 @@ def write_level(monitor, state, estimate, supervision):
 
 
 @kernel
+def cause_of(condition):
+    """Return the cause of an abort for a condition: a bit of health, or after these the protection level."""
+    if condition == HEALTH_BITS:
+        return UNPROTECTED
+    if condition == HEALTH_BITS - 1:
+        return SENSOR_SUSPECT
+    return BENCH_DISAGREES if condition == HEALTH_BITS - 2 else FIRST_HEALTH_CAUSE + condition
+
+
+@kernel
 def _wanted(params, state, kind, t_s, health, cause):
     """Return the strongest reaction in a phase of ``kind``; write its cause to ``cause`` (1,)."""
     strongest = CONTINUE
@@ -134,13 +145,7 @@ def _wanted(params, state, kind, t_s, health, cause):
             applies = since_s != 0.0 and t_s - since_s >= params.time_to_alert_s
         if applies and params.table[condition, kind] > strongest:
             strongest = params.table[condition, kind]
-            cause[0] = FIRST_HEALTH_CAUSE + condition
-            if condition == HEALTH_BITS - 2:
-                cause[0] = BENCH_DISAGREES
-            elif condition == HEALTH_BITS - 1:
-                cause[0] = SENSOR_SUSPECT
-            elif condition == HEALTH_BITS:
-                cause[0] = UNPROTECTED
+            cause[0] = cause_of(condition)
     return strongest
 
 

@@ -15,9 +15,10 @@ from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import allocation, approach_monitor, backend_step, control, guidance, reactions, thruster_monitor
 from hil.gnc.allocation import ROWS
-from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, GO_CHECK, NOT_ABORTED
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
 from hil.gnc.backend_step import BACKENDS
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
+from hil.gnc.docking_go import GO_CHECK
 from hil.gnc.estimation import body_frame, navigation, target_motion
 from hil.gnc.estimation.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
@@ -33,7 +34,6 @@ _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 APPROACH_PARAMS = np.dtype(
     [
         ("target_rate_sigma", "f8"),  # rad/s, of a component of the target's rate, up to which the approach holds
-        ("dwell_s", "f8"),  # for which the ready state must have held for docking to be a go
         ("guidance", GUIDANCE_PARAMS),
         ("monitor", APPROACH_MONITOR_PARAMS),
         ("reactions", REACTION_PARAMS),
@@ -125,7 +125,8 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
         return False
     watch_thrusters(params, state, memory, samples, command, estimate)
     if backends.navigation.step == 0:
-        copy_into(approach.go.level_m, state.navigation.integrity.go_m)
+        navigation.write_go(state.navigation, approach.go)
+        approach.reactions.from_future = state.navigation.fusion.from_future
         copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)
     sigma = target_motion.largest_sigma(params.navigation.fusion, state.navigation.fusion)
     approach.target_unknown = 1 if sigma > params.approach.target_rate_sigma else 0
@@ -138,6 +139,8 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     _feed_forward(params, state, reference)
     if backends.control.step == 0:
         control.control(params.control, estimate, reference, state.feed, command)
+        if approach.go.near != 0 and approach.go.given == 0:
+            control.predict_hold(params.control, estimate, reference, state.feed, approach.go.hold)
     elif not backend_step.control_elsewhere(params, state, t_s, estimate, reference, supervision, command):
         return False
     _select_thrusters(params, state, command)
@@ -188,7 +191,7 @@ def guide(params, state, t_s, supervision, reference):
     is_go = (
         supervision.aborted == NOT_ABORTED
         and supervision.reaction == reactions.CONTINUE
-        and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+        and has_held(supervision.ready_since_s, t_s, params.monitor.dwell_s)
     )
     progress.docking_go = 1 if is_go else 0
     progress.ready_since_s = supervision.ready_since_s
@@ -236,7 +239,7 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
     progress = state.progress
     progress.aborted = supervision.aborted
     progress.reaction, progress.cause = supervision.reaction, int(cause[0])
-    is_ready = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+    is_ready = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.monitor.dwell_s)
     progress.ready = 1 if is_ready else 0
 
 
@@ -249,8 +252,8 @@ def _feed_forward(params, state, reference):
     feed, dt = state.feed, params.control.dt_s
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
     p, q, rotates = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble.rotates
-    for i in range(3):  # from the previous cycle
-        state.approach.go.firing[i] = feed.pulse_s * params.control.acceleration[3 + i]
+    for i in range(6):  # from the previous cycle
+        state.approach.go.firing[i] = max(params.control.pulse_s, feed.pulse_s) * params.control.acceleration[i]
     busy = control.is_busy(params.control, feed)
     feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters, busy)
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]

@@ -71,6 +71,7 @@ THRUSTER_MONITOR_PARAMS = np.dtype(
         ("most", "f8", 6),  # largest of each component with all thrusters that have it
         ("sound_cycles", "i8"),  # in which readings must agree with the commands before an accusation is revoked
         ("settle_cycles", "i8"),  # after which a firing is over
+        ("resolution", "f8", 2),  # of force and torque, in these units: what the quantum of the readings leaves open
     ],
     align=True,
 )
@@ -211,13 +212,32 @@ def _judge(params, state, residual, thrust):
 
 
 @kernel
-def _watch_readings(state, rate, force):
-    """Count the cycles in which gyro or accelerometer read what they read before."""
+def _watch_readings(params, state, rate, force, thrust):
+    """Count the cycles in which gyro or accelerometer read what they read before.
+
+    Readings with a quantum repeat themselves: of these those cycles count in which ``thrust``, the expected mean (n,),
+    changes them by more than the quantum leaves open.
+    """
     rate_repeats, force_repeats = True, True
     for i in range(3):
         rate_repeats = rate_repeats and rate[i] == state.rate[i]
         force_repeats = force_repeats and force[i] == state.force[i]
-    state.repeats = state.repeats + 1 if rate_repeats or force_repeats else 0
+    if not (rate_repeats or force_repeats):
+        state.repeats = 0
+        return
+    rate_changes, force_changes = params.resolution[1] == 0.0, params.resolution[0] == 0.0
+    if not (rate_changes and force_changes):
+        last = (state.row - state.delay + DELAYS) % DELAYS
+        earlier = (last - 1 + DELAYS) % DELAYS
+        for i in range(3):
+            turned, pushed = 0.0, 0.0
+            for j in range(params.n):
+                turned += thrust[j] * params.signature[j, 3 + i]
+                pushed += (state.past[last, j] - state.past[earlier, j]) * params.signature[j, i]
+            rate_changes = rate_changes or abs(turned) > params.resolution[1]
+            force_changes = force_changes or abs(pushed) > 4.0 * params.resolution[0]
+    if (rate_repeats and rate_changes) or (force_repeats and force_changes):
+        state.repeats += 1
 
 
 @kernel
@@ -520,8 +540,6 @@ def watch(params, state, samples, on, bias, isolated, estimate):
     step_valves(on[: params.n], state.open_s, params.minimum_on_s, params.dt_s, thrust)
     if state.withheld_cycles > 0:
         state.withheld_cycles -= 1
-    if state.calls >= 2:
-        _watch_readings(state, rate, force)
     since = state.open_cycles
     _remember(params, state, thrust)
     if state.calls >= 2:
@@ -535,8 +553,11 @@ def watch(params, state, samples, on, bias, isolated, estimate):
                 _measure_axis_pulses(params, state, thrust, rate)
         _correct_for_arm(params, state, measured)
         _find_delay(params, state, measured, thrust, residual)
-        for i in range(3):
-            possible = _BIAS_SIGMAS * bias[3 + i] * per_force
+        _watch_readings(params, state, rate, force, thrust)
+        for i in range(6):
+            possible = params.resolution[1]
+            if i < 3:
+                possible = _BIAS_SIGMAS * bias[3 + i] * per_force + params.resolution[0]
             residual[i] -= min(possible, max(-possible, residual[i]))
         if state.imu_suspect != 0:
             _test_imu(params, state, residual, thrust, state.repeats > 0)

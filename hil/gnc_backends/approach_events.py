@@ -10,7 +10,7 @@ import numpy as np
 from hil.config.scenario import REACTION_NAMES
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
-from hil.gnc import approach_monitor
+from hil.gnc import approach_monitor, docking_go, reactions
 from hil.gnc.reactions import ABORT
 
 ABORT_CAUSES = (
@@ -36,6 +36,7 @@ DOCKING_GO = "docking: go"
 _DIRECTIONS = ("along the docking axis", "across the docking axis", "of the attitude")
 _AXES = ("x", "y", "z", "angle x", "angle y", "angle z", "velocity x", "velocity y", "velocity z",
          "rate x", "rate y", "rate z")  # fmt: skip
+_SUMS = (*_AXES[:6], "x + y", "x - y", "y + z", "y - z", "z + x", "z - x")
 
 
 def limit_text(cause: int, state: np.record | None) -> str:
@@ -45,9 +46,9 @@ def limit_text(cause: int, state: np.record | None) -> str:
     """
     if state is None:
         return ""
-    reactions = state["reactions"]
+    watched = state["reactions"]
     if cause in (approach_monitor.CORRIDOR, approach_monitor.CLOSING_RATE):
-        value, limit = float(reactions["broken"]["value"]), float(reactions["broken"]["limit"])
+        value, limit = float(watched["broken"]["value"]), float(watched["broken"]["limit"])
         if limit == 0.0:
             return ""
         if cause == approach_monitor.CORRIDOR:
@@ -56,14 +57,18 @@ def limit_text(cause: int, state: np.record | None) -> str:
     if cause == approach_monitor.BENCH_DISAGREES:
         axis, value, limit = (float(number) for number in state["bench_breach"])
         return f": {_AXES[int(axis)]} {_shown(int(axis), value)} off, allowed {_shown(int(axis), limit)}"
+    if cause == approach_monitor.FIRST_HEALTH_CAUSE and watched["from_future"]:
+        return (
+            f": {int(watched['from_future'])} poses were stamped in the future, the clock of the vision unit is ahead"
+        )
     if cause in (approach_monitor.UNPROTECTED, approach_monitor.FIRST_HEALTH_CAUSE, approach_monitor.HELD_TOO_LONG):
-        return _level_text(reactions)
+        return _level_text(watched)
     return ""
 
 
-def _level_text(reactions: np.record) -> str:
+def _level_text(watched: np.record) -> str:
     """Return the protection level that is nearest its alert limit."""
-    levels, limits = np.asarray(reactions["level"]), np.asarray(reactions["limit"])
+    levels, limits = np.asarray(watched["level"]), np.asarray(watched["limit"])
     if not (levels > 0.0).any():
         return ""
     worst = int(np.argmax(levels * limits.max() / np.maximum(limits, 1e-12)))
@@ -78,17 +83,23 @@ def go_limit_text(state: np.record | None) -> str:
     go = state["go"]
     lacks, axis, value, limit = int(go["lacks"]), int(go["axis"]), float(go["value"]), float(go["limit"])
     numbers = f"{_AXES[axis]} {_shown(axis, value)}, allowed {_shown(axis, limit)}"
-    if lacks == approach_monitor.UNBOUNDED:
+    if lacks == docking_go.UNBOUNDED:
         return _level_text(state["reactions"])
+    if lacks == docking_go.SUM:
+        return f": innovations of {_SUMS[axis]} sum up to {value:.1f} standard deviations, allowed {limit:.1f}"
+    if lacks == docking_go.HEALTH:
+        bit = int(value) & -int(value)
+        return f": {ABORT_CAUSES[reactions.cause_of(bit.bit_length() - 1)]}" if bit else ""
     words = {
-        approach_monitor.DEVIATION: "",
-        approach_monitor.LEVEL: "level of ",
-        approach_monitor.ENCODERS: "encoders show ",
-        approach_monitor.FIRING: "smallest firings give ",
+        docking_go.DEVIATION: "",
+        docking_go.LEVEL: "with its level ",
+        docking_go.ENCODERS: "encoders show ",
+        docking_go.FIRING: "smallest firings give ",
+        docking_go.HOLD: "control holds with the level ",
     }
     if lacks in words and limit > 0.0:
-        return f": {words[lacks]}{numbers}"
-    return ": the navigation is not healthy" if lacks == approach_monitor.HEALTH else ""
+        return f": {words[lacks]}{numbers if math.isfinite(value) else f'{_AXES[axis]} without bound'}"
+    return ""
 
 
 def _shown(axis: int, value: float) -> str:

@@ -19,7 +19,7 @@ from hil.maths.kepler import mean_anomaly, true_anomaly
 def transition(mean_motion: float, eccentricity: float, nu: float, t_s: float) -> np.ndarray:
     """Return the transition matrix (6, 6) of [r, v] in H over ``t_s``, from the true anomaly ``nu``, rad, on.
 
-    mean_motion: rad/s, not zero. eccentricity: 0 to below 0.1.
+    mean_motion: rad/s, not zero. eccentricity: 0 to 0.7.
     """
     out = np.empty((6, 6))
     transition_into(mean_motion, eccentricity, mean_anomaly(eccentricity, nu), t_s, out)

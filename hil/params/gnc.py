@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from hil.config import scenario as config
-from hil.config.scenario import REACTION_NAMES, Chaser, Scenario, Thrusters
+from hil.config.scenario import REACTION_NAMES, Chaser, GncConfig, Scenario, Thrusters
 from hil.core.messages import MAX_THRUSTERS, POSE, Array, new
 from hil.dynamics.hill import input_response, transition
 from hil.gnc.allocation import (
@@ -48,6 +48,7 @@ _IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thrus
 _SOUND_S = 1.0  # for which readings must agree with the commands, or contradict them, to revoke an accusation
 _SETTLED_S = 0.2  # a firing has been felt, also that of a valve that is late
 _CONVERGED_FRACTION = 0.1  # fraction of the closing rate at the ready point
+_GRADIENT = 1.5  # of the squared mean motion: largest angular acceleration by the gravity gradient
 _AT_REST_RADPS = 1e-6  # rate of axes whose rotation the filters add themselves: no gravity gradient
 _TORQUE_MEAN_S = 3.0  # time constant of each low-pass of the gyros' angular acceleration
 _LEAK_MIN = 0.0017  # fraction of a thrust: bending after a slew looks like less
@@ -67,7 +68,6 @@ def gnc(scenario: Scenario) -> np.record:
     sets, strength = allocation(scenario.chaser)
     largest = math.radians(scenario.requirements.angular_rate_degps) / scenario.gnc.corridor.confidence
     params.approach.target_rate_sigma = _TARGET_RATE_FRACTION * largest
-    params.approach.dwell_s = scenario.requirements.dwell_s
     params.approach.guidance = guidance(scenario)
     params.approach.monitor = approach_monitor(scenario)
     params.approach.reactions = _reactions(scenario)
@@ -107,7 +107,7 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.close_after, fusion.reopen_after = gnc.integrity.close_after, gnc.integrity.reopen_after
     akf = fusion.akf
     akf.dt_s = scenario.sample_s
-    akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
+    akf.sigma_gyro = _with_quantum(math.radians(gnc.akf.gyro_noise_degps), math.radians(gnc.akf.gyro_quantum_degps))
     # an error of the rate of H changes smoothly over the orbit, in the run by (n T)^2 of its variance; in a run of many
     # orbits it is a first-order Gauss-Markov process
     n = fusion.orbit.mean_motion
@@ -123,7 +123,7 @@ def navigation(scenario: Scenario) -> np.record:
     rate = _AT_REST_RADPS if fusion.orbit.tumble.rotates else fusion.orbit.mean_motion
     pkf.hill_transition = transition(rate, scenario.sample_s)
     pkf.hill_response = input_response(rate, scenario.sample_s)
-    pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
+    pkf.sigma_accelerometer = _with_quantum(gnc.pkf.accelerometer_noise_mps2, gnc.pkf.accelerometer_quantum_mps2)
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
     pkf.gate = akf.gate
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
@@ -172,11 +172,16 @@ def _thrust_model(scenario: Scenario) -> np.record:
     params.rate_variance = square(math.radians(given.rate_noise_degps)) * dt_s
     params.window = min(max(1, round(_QUIET_WINDOW_S / dt_s)), scenario.memory_steps)
     params.gate = _QUIET_SIGMAS
-    params.witness = _torque_witness(accelerations, params, scenario.gnc.pkf.accelerometer_noise_mps2)
+    params.witness = _torque_witness(accelerations, params, scenario.gnc)
     return params
 
 
-def _torque_witness(accelerations: Array, thrust: np.record, accelerometer_noise_mps2: float) -> np.record:
+def _with_quantum(noise: float, quantum: float) -> float:
+    """Return the standard deviation of a reading with a quantum whose remainder is read later, of its noise's unit."""
+    return math.sqrt(square(noise) + square(quantum) / 6.0) if quantum > 0.0 else noise
+
+
+def _torque_witness(accelerations: Array, thrust: np.record, gnc: GncConfig) -> np.record:
     """Return TORQUE_PARAMS. accelerations: of the thrusters, (n, 6). thrust: THRUST_PARAMS."""
     params = new(TORQUE_PARAMS)
     sizes = [(linear.length(row[:3]), linear.length(row[3:])) for row in accelerations]
@@ -185,9 +190,11 @@ def _torque_witness(accelerations: Array, thrust: np.record, accelerometer_noise
     params.limit, params.bending, params.turning = math.inf, _BENDING, _UNKNOWN_INERTIA
     turning = [(force, torque) for force, torque in sizes if torque > _TORQUE_MIN]
     if turning:
-        params.limit = _LEAK_MIN * max(torque for _, torque in turning)
+        seen = 2.0 * math.radians(gnc.akf.gyro_quantum_degps) / _TORQUE_MEAN_S
+        params.limit = max(seen, _LEAK_MIN * max(torque for _, torque in turning))
         params.force = max(force / torque for force, torque in turning)
-        params.most = accelerometer_noise_mps2 * math.sqrt(JUMP_NIS / (JUMP_WINDOWS * thrust.window)) / params.force
+        noise = _with_quantum(gnc.pkf.accelerometer_noise_mps2, gnc.pkf.accelerometer_quantum_mps2)
+        params.most = noise * math.sqrt(JUMP_NIS / (JUMP_WINDOWS * thrust.window)) / params.force
     return params
 
 
@@ -204,7 +211,7 @@ def integrity(scenario: Scenario) -> np.record:
     params.vision_range = vision_range_m(scenario)
     params.sigmas = protection_sigmas(scenario)
     params.sigmas_go = math.sqrt(chi_square.upper_quantile(settings.go_risk_probability, 1))
-    params.cusum_go = min(settings.go_cusum_sigmas, settings.cusum_limit_sigmas)
+    params.go_interval_s = settings.go_alarm_interval_s
     return params
 
 
@@ -242,6 +249,9 @@ def thruster_monitor(scenario: Scenario) -> np.record:
     params.imu_cycles = max(1, round(_IMU_S / scenario.step_s))
     params.sound_cycles = max(1, round(_SOUND_S / scenario.step_s))
     params.settle_cycles = max(1, round(_SETTLED_S / scenario.step_s))
+    # the mean of two cycles is off by half a quantum, the change of the rate between them by two
+    force, rate = scenario.gnc.pkf.accelerometer_quantum_mps2, math.radians(scenario.gnc.akf.gyro_quantum_degps)
+    params.resolution = 0.5 * force / params.force_unit, 2.0 * rate / (params.torque_unit * scenario.step_s)
     return params
 
 
@@ -307,6 +317,8 @@ def _gate(scenario: Scenario) -> float:
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
 PATHS = {"fly_around": ARC, "slew": SLEW, "transfer": TRANSFER}
 """Kinds of phases that move on another path than a line, otherwise as an approach."""
+MOVING = ("approach", "final", "retreat", "transfer", "fly_around")
+"""Kinds of phases that move the chaser."""
 _SLEW_UP_S = 2.0
 _BRAKE_FRACTION = 0.9  # fraction of the available thrust: the rest is for control
 
@@ -316,6 +328,23 @@ def braking_acceleration(scenario: Scenario) -> float:
     _, strength = allocation(scenario.chaser)
     axis = np.abs(np.array(scenario.gnc.corridor.axis))
     return float((strength[AXES_OF_A_BODY:] / np.maximum(axis, 1e-12)).min() / scenario.chaser.mass_kg)
+
+
+def _demand_max(scenario: Scenario) -> float:
+    """Return the acceleration that a demand gives along each axis, m/s^2; inf for a layout that is refused."""
+    try:
+        _, strength = allocation(scenario.chaser)
+    except ValueError:
+        return math.inf
+    return float(strength[:3].min() / scenario.chaser.mass_kg)
+
+
+def abort_brake(scenario: Scenario) -> float:
+    """Return the deceleration of an abort, m/s^2: as set, at most what the thrusters give with a part for control."""
+    try:
+        return min(scenario.gnc.abort.brake_mps2, _BRAKE_FRACTION * braking_acceleration(scenario))
+    except ValueError:  # a layout that cannot move an axis: refused by the check of the plan
+        return scenario.gnc.abort.brake_mps2
 
 
 def guidance(scenario: Scenario) -> np.record:
@@ -337,6 +366,9 @@ def guidance(scenario: Scenario) -> np.record:
             params.speed[k] = math.radians(phase.rate_degps or scenario.gnc.control.slew_rate_degps)
             acceleration = math.radians(phase.acceleration_degps2 or 0.0) or params.speed[k] / _SLEW_UP_S
             params.acceleration[k] = params.deceleration[k] = acceleration
+        elif phase.kind in MOVING:
+            most = max(params.acceleration[k], params.deceleration[k])
+            params.full_thrust[k] = _demand_max(scenario) < most
         params.duration_s[k] = phase.duration_s or 0.0
         params.until_s[k] = math.inf if phase.end_time_s is None else phase.end_time_s
         params.optimal[k], params.passive_s[k] = phase.impulses == "optimal", phase.passively_safe_s or 0.0
@@ -350,7 +382,7 @@ def guidance(scenario: Scenario) -> np.record:
     params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
     params.abort_speed = abort.speed_mps
     params.abort_acceleration = abort.acceleration_mps2
-    params.brake = min(abort.brake_mps2, _BRAKE_FRACTION * braking_acceleration(scenario))
+    params.brake = abort_brake(scenario)
     return params
 
 
@@ -369,7 +401,7 @@ def approach_monitor(scenario: Scenario) -> np.record:
     alert = scenario.integrity
     params.axis = corridor.axis
     params.alert_distance, params.alert_slope = alert.alert_axial_m, alert.alert_axial_per_range_scale
-    params.keep_out, params.brake = scenario.keep_out.radius_m, scenario.gnc.abort.brake_mps2
+    params.keep_out, params.brake = scenario.keep_out.radius_m, abort_brake(scenario)
     bodies = scenario.keep_out.bodies
     params.chaser, params.target = bodies_on(bodies, "chaser"), bodies_on(bodies, "target")
     params.distance = scenario.keep_out.distance_m
@@ -389,6 +421,7 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.across_sigmas = math.sqrt(-2.0 * elementary.log(_level_tail(scenario)))
     params.go_sigmas = math.sqrt(chi_square.upper_quantile(scenario.gnc.integrity.go_risk_probability, 1))
     params.go_fraction = scenario.gnc.integrity.go_fraction
+    params.dwell_s = needs.dwell_s
     return params
 
 
@@ -468,6 +501,9 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
     params.rate_max, params.go_fraction = rule.rate_max, scenario.gnc.integrity.go_fraction
+    params.go_s = scenario.requirements.go_valid_s
+    gradient = _GRADIENT * square(mean_motion(scenario.gnc_orbit))
+    params.drift = six(scenario.gnc.navigation.thrust.disturbance_mps2, gradient)
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))

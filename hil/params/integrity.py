@@ -22,7 +22,7 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
     params.approach = gnc_params.approach_monitor(scenario)
     params.time_to_alert_s = scenario.integrity.time_to_alert_s
     params.decision.ready = ready_params(scenario.requirements)
-    params.decision.required_s = scenario.requirements.required_ready_s
+    params.decision.required_s = scenario.requirements.go_valid_s
     params.decision.settled_s = settled_s(scenario.duration_s)
     set_faults(params, scenario.faults)
     limits = params.limits

@@ -29,6 +29,9 @@ CORE: Final = Part(
         "recover": PartCommand(
             "hil.cli.recover:recover", "Restore a truncated recording in a new file; the file itself stays unchanged."
         ),
+        "vehicle": PartCommand(
+            "hil.cli.vehicle:vehicle", "Compare the vehicle of a scenario with its plan, Table III, and abort."
+        ),
         "warm-up": PartCommand(
             "hil.cli.warm_up:warm_up",
             "Compile all kernels for this computer, and print the time that each group of them takes.",
@@ -125,6 +128,7 @@ WIRES: Final = Part(
         "rig.kind=hardware": "hil.parts.wires.wired:wired_bench",
         "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
         "rig.kind=hardware: preflight": "hil.parts.wires.devices:hardware_checks",
+        "rig.turntable.driver=cia402: description": "hil.drivers.turntable.cia402.describe:describe",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
     check_rig="hil.parts.wires.clock:check_clock",

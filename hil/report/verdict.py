@@ -107,6 +107,7 @@ TABLE_V = {
         (0.0081, 0.0334, 0.0392), (0.0169, 0.0245, 0.0258), (0.2821, 0.2787, 0.0838), (0.0667, 0.2227, 0.0684), None
     ),
 }
+TABLE_V |= {f"{scheme}-paper": TABLE_V[scheme] for scheme in ("scheme-1", "scheme-2")}
 
 
 def is_accepted(completed: bool, aborted: bool, parts: Mapping[str, bool], requirements: Requirements) -> bool:

@@ -337,3 +337,26 @@ def test_proof_test_moves_no_axis_and_returns_what_it_found() -> None:
     assert proved[0] == "io: coupler identified, emergency stop released, safety chain closed"
     assert "Are all drives without power while the emergency stop is pressed? yes" in proved
     assert proved[-1] == "io: released, chain stayed open, closed again after the reset"
+
+
+@pytest.mark.parametrize("factor", [60.0, -60.0, 1.0 / 60.0, -1.0])
+def test_drive_of_another_unit_moves_by_a_tenth_of_a_degree_before_the_technician_is_asked(factor: float) -> None:
+    begun: list[tuple[Runner, Trial]] = []
+    asked: list[float] = []
+
+    def answer(question: str) -> bool:
+        if "stay within" in question:
+            asked.append(abs(factor) * float(np.ptp(np.array(begun[0][1].places)[:, YAW])))
+        return True
+
+    trial = commissioned(
+        (YAW,),
+        answer=answer,
+        true_position=lambda axis, _: factor * float(begun[0][0].loop.bench.motion.position[axis]),
+        prepare=lambda runner, trial, _: begun.append((runner, trial)),
+    )
+    assert trial.fails is not None
+    if "first move" in trial.fails.what:  # the measurement came before the question
+        asked.append(abs(factor) * float(np.ptp(np.array(trial.places)[:, YAW])))
+    assert len(asked) == 1
+    assert asked[0] <= math.radians(0.1001)

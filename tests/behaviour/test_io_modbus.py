@@ -269,7 +269,7 @@ def test_a_million_mutated_answers_are_taken_whole_or_refused() -> None:
 
     async def feed() -> tuple[int, int]:
         rng = random.Random(6)
-        coupler = Coupler(config(port=1), LineMap(config()), 1.0, WallClock())
+        coupler = Coupler(config(port=1), LineMap(config()), 1e-6, WallClock())
         coupler._client = SimpleNamespace(connected=True)  # type: ignore[assignment]
         framer = FramerSocket(DecodePDU(False))
         right = bytes.fromhex("0007 0000 0004 01 02 01 03")

@@ -19,6 +19,7 @@ from hil.config.rig import (
     ROTARY_NAMES,
     AsciiTurntableLine,
     AxisGroupTable,
+    Cia402,
     HeldAtPlace,
     HeldLinearAxes,
     HeldRotaryAxes,
@@ -27,6 +28,7 @@ from hil.config.rig import (
     Rails,
     Turntable,
 )
+from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.faults import ErrorTerm
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.core.messages import Homing
@@ -43,6 +45,7 @@ from hil.parts.emulation.fault_injection import Faults
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.parts.wires.io_server import IoServer
 from tests.support import example_driver
+from tests.support.drive_makes import MAKES
 from tests.support.lock_step import in_lock_step, serving
 
 RIG = load_rig("emulated").value
@@ -140,8 +143,12 @@ def _pass(device: RemoteAxes, clock: BenchClock, seconds: float) -> None:
         clock.sleep_until(min(end_s, clock.now_s() + 0.02))
 
 
-def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Turntable:
-    return turntable.model_copy(update={"driver": "ascii", "ascii": AsciiTurntableLine(protocol=protocol)})
+def _ascii(protocol: str, turntable: Turntable = RIG.turntable, port: str | None = None) -> Turntable:
+    return turntable.model_copy(update={"driver": "ascii", "ascii": AsciiTurntableLine(protocol=protocol, port=port)})
+
+
+def _of_a_make(habits: dict[str, Any]) -> Turntable:
+    return RIG.turntable.model_copy(update={"cia402": Cia402(emulated=DriveHabits(**habits))})
 
 
 def _on_two_controllers(key: str, controller: dict[str, Any]) -> Any:
@@ -184,6 +191,9 @@ WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "one-cia402": lambda: _further("rotary_axes", 1, "cia402", cia402={}),
     "six-cia402": lambda: _further("rotary_axes", 6, "cia402", cia402={"node_ids": IDS}),
 }
+OF_ONE_MAKE = {f"cia402, {make}": partial(_of_a_make, habits) for make, habits in MAKES.items()}
+WIRED |= OF_ONE_MAKE | {"turntable-acu-tcp": lambda: _ascii("acu", port="tcp://127.0.0.1:0")}
+QUICK_MAKES = ("cia402, interpolated position alone", "cia402, lingering bits")
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
     "turntable-mock": lambda: _mock(RIG.turntable),
@@ -199,7 +209,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test on all backends, or on all axes but the target's of the rig file given by --driver-rig."""
     rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if "wired" in metafunc.fixturenames and rig_file is None:
-        marks = {name: [pytest.mark.slow] for name in ("six-modbus-rtu", "six-cia402")}
+        marks = {name: [pytest.mark.slow] for name in ("six-modbus-rtu", "six-cia402", *_slow_makes())}
         wired = [pytest.param(table, id=name, marks=marks.get(name, [])) for name, table in WIRED.items()]
         metafunc.parametrize("wired", wired)
         return
@@ -210,10 +220,16 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "backend" not in metafunc.fixturenames:
         return
     if rig_file is None:
-        metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
+        marks = {name: [pytest.mark.slow] for name in _slow_makes()}
+        params = [pytest.param(make, id=name, marks=marks.get(name, [])) for name, make in BACKENDS.items()]
+        metafunc.parametrize("backend", params, indirect=True)
         return
     made = [pytest.param(partial(_on_wires, table), id=name) for name, table in _wired_of(rig_file).items()]
     metafunc.parametrize("backend", made, indirect=True)
+
+
+def _slow_makes() -> list[str]:
+    return [name for name in OF_ONE_MAKE if name not in QUICK_MAKES]
 
 
 def _wired_of(rig_file: str) -> dict[str, AxisGroupTable]:

@@ -51,7 +51,7 @@ def until(page: Any, expression: str, wall_s: float = 20.0) -> None:
 
 def ask_by(page: Any, button: str) -> None:
     """Click a button that asks the console, while the page receives: after a frame of 0.5 s it sends nothing."""
-    until(page, f"!window.hil.link.lost && (document.getElementById('{button}').click(), true)")
+    until(page, f"!window.hil.link.old && (document.getElementById('{button}').click(), true)")
 
 
 class ChromiumPage:
@@ -87,6 +87,14 @@ class ChromiumPage:
             self._devtools.send("Input.dispatchKeyEvent", down)
             time.sleep(0.03)
         self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+    def press(self, key: str) -> None:
+        """Press a key and keep it down."""
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "rawKeyDown", "key": key, "code": key})
+
+    def release(self, key: str) -> None:
+        """Release a key."""
+        self._devtools.send("Input.dispatchKeyEvent", {"type": "keyUp", "key": key, "code": key})
 
     def second_finger(self, x: float, y: float, at_x: float, at_y: float) -> None:
         """Tap at the second point while a finger rests on the first."""

@@ -41,6 +41,7 @@ EXEMPT: Final = {
     "parts/vision/view_plan.py": "a plan of views with stated uncertainties",
     "parts/wires/devices.py": "measurements of the host",
     "recording/catalogue.py": "display",
+    "report/authority_figure.py": "display",
     "report/comparison.py": "statistics of two runs",
     "report/figures.py": "display",
     "report/latency.py": "fits with stated uncertainties",

@@ -42,13 +42,13 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=No
 
 
 @contextmanager
-def served(driver, chain=ChainState, identity=None, prepare=lambda emulator: None, **rig):
+def served(driver, chain=ChainState, identity=None, prepare=lambda emulator: None, listen=None, **rig):
     """Yield an emulator, an open driver and their clock. identity: expected of a serial controller.
 
-    prepare: called with the emulator before it starts.
+    prepare: called with the emulator before it starts. listen: its address; None: a line of its own.
     """
     with in_lock_step() as clock, closing(SharedAxisState.create()) as board:
-        emulator = EMULATORS[driver](turntable(driver, **rig), clock, board, chain=chain)
+        emulator = EMULATORS[driver](turntable(driver, listen, **rig), clock, board, chain=chain)
         prepare(emulator)
         address = emulator.start()["turntable"]
         config = turntable(driver, address, **rig)

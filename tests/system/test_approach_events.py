@@ -7,9 +7,9 @@ import pytest
 
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, SUPERVISION, new
-from hil.gnc import guidance, step
+from hil.gnc import approach_monitor, docking_go, guidance, step
 from hil.gnc.step import APPROACH_PROGRESS, APPROACH_STATE
-from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.gnc_backends.approach_events import ApproachEventLog, go_limit_text, limit_text
 from hil.params import gnc as gnc_params
 from hil.session import build
 from tests.support.run_settings import make_job
@@ -36,7 +36,7 @@ def progress(**fields: float) -> np.void:
 @pytest.mark.parametrize(("t_s", "since_s", "go"), [(100.0, np.nan, 0), (14.9, 10.0, 0), (15.0, 10.0, 1)])
 def test_docking_is_go_after_the_dwell_and_not_before(scheme_1: Scenario, t_s: float, since_s: float, go: int) -> None:
     params, state, supervision = gnc_params.gnc(scheme_1).approach, new(APPROACH_STATE), new(SUPERVISION)
-    params.dwell_s, supervision.ready_since_s = 5.0, since_s
+    params.monitor.dwell_s, supervision.ready_since_s = 5.0, since_s
     guidance.start(params.guidance, state.guidance)
     step.guide(params, state, t_s, supervision, new(REFERENCE))
     assert state.progress.docking_go == go
@@ -90,3 +90,31 @@ def test_order_to_abort_is_executed_in_the_same_cycle() -> None:
         outcome = runner.run()
     assert outcome.history["supervision"]["aborted"][0] == 3
     assert outcome.history["supervision"]["aborted"][-1] == 3
+
+
+@pytest.mark.parametrize(
+    ("go", "text"),
+    [
+        ({"lacks": docking_go.SUM, "axis": 7, "value": 27.0, "limit": 25.7}, "innovations of x - y sum up to 27.0"),
+        ({"lacks": docking_go.HEALTH, "value": 2.0}, "vision is suspect"),
+        ({"lacks": docking_go.HEALTH, "value": 64.0}, "the encoders contradict the estimate"),
+        ({"lacks": docking_go.LEVEL, "value": np.inf, "limit": 0.03}, "with its level x without bound"),
+        (
+            {"lacks": docking_go.FIRING, "axis": 7, "value": 0.03, "limit": 0.02},
+            "smallest firings give velocity y 0.03",
+        ),
+        ({"lacks": docking_go.HOLD, "axis": 1, "value": 0.03, "limit": 0.02}, "control holds with the level y 0.03"),
+    ],
+)
+def test_withdrawal_names_its_cause(go: dict[str, float], text: str) -> None:
+    state = new(APPROACH_STATE)
+    for name, value in go.items():
+        state.go[name] = value
+    assert text in go_limit_text(state)
+
+
+def test_vision_lost_to_a_clock_that_is_ahead_has_that_reason() -> None:
+    state = new(APPROACH_STATE)
+    assert "future" not in limit_text(approach_monitor.FIRST_HEALTH_CAUSE, state)
+    state.reactions.from_future = 12
+    assert "12 poses were stamped in the future" in limit_text(approach_monitor.FIRST_HEALTH_CAUSE, state)

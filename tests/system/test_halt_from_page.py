@@ -94,7 +94,7 @@ def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
             page.evaluate(f"void document.querySelector('{SETTING}').focus()")
         if name == "setting":
             page.evaluate(f"void (document.querySelector('{SETTING}').value = '0.0003')")
-            until(page, f"!window.hil.link.lost && (document.querySelector('{SETTING_BUTTON}').click(), true)")
+            until(page, f"!window.hil.link.old && (document.querySelector('{SETTING_BUTTON}').click(), true)")
     elif what == "confirm":
         if name == "open":
             page.evaluate("import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))")
@@ -218,7 +218,7 @@ def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_beh
             time.sleep(0.5)
             page.evaluate("void (window.cells.sent = [])")
             where = middle(page, "yes")
-            until(page, "!window.hil.link.lost")
+            until(page, "!window.hil.link.old")
             page.point("mouse", *where)
             until(page, "!document.getElementById('confirm').open && window.cells.sent.length === 1")
             page.point("mouse", *where)

@@ -24,7 +24,7 @@ BY_THE_WALL_CLOCK = {
         test_stop_in_each_phase test_two_controllers test_undecided
     """,
     "they test the time-outs of a driver, or a program of another maker is at the other end of the wire": """
-        test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
+        test_canopen_node test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
         test_turntable_ascii_noise test_turntable_timeouts test_vmu_rs422
     """,
     "bench and GNC run free of each other, over a network that loses and delays": """
@@ -33,7 +33,7 @@ BY_THE_WALL_CLOCK = {
     "a page, a browser, a viewer or a person keeps the wall clock": """
         test_campaign_on_wires test_commission_at_the_page test_commission_command test_console test_console_crowd
         test_console_network test_console_page test_console_strangers test_fault_matrix test_foxglove
-        test_halt_from_page test_identify_command test_page_widths
+        test_halt_from_page test_identify_command test_network_of_page test_page_widths
     """,
     "processes of cameras, of the vision unit or of the docking monitor run at their own pace": """
         test_calibrate_command test_cameras_in_the_loop test_images_on_wires test_live_monitor

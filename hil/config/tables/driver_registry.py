@@ -39,6 +39,7 @@ _BUILT_IN: Final = {
     "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
     "io.modbus": "hil.drivers.io.entry:ENTRY",
 }
+_TCP: Final = "tcp://"  # a controller on Ethernet with a protocol of serial lines
 _SERIAL_CAN: Final = ("serial", "slcan")  # interfaces of python-can that are serial ports
 
 
@@ -82,7 +83,10 @@ class WireKey:
         if self.kind == "can":
             interface = getattr(model, "interface", "socketcan")
             kind = "can" if interface == "socketcan" else "serial" if interface in _SERIAL_CAN else "other"
-        return Wire(self.key, kind, getattr(model, last, None))
+        address = getattr(model, last, None)
+        if self.kind == "serial" and str(address).startswith(_TCP):
+            return Wire(self.key, "tcp", str(address).removeprefix(_TCP))
+        return Wire(self.key, kind, address)
 
     def connected(self, table: Any, address: str) -> Any:
         """Return ``table`` with the address that the emulator reports."""

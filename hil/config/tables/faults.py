@@ -168,6 +168,9 @@ EMULATED: Final[dict[str, dict[str, ErrorTerm]]] = {
         "brakes_open": ErrorTerm("the holding brakes do not close, nor does their contact"),
         "pump_ignored": ErrorTerm("the relay does not monitor the charge pump"),
         "local_enable_off": ErrorTerm("the switch at the bench does not permit power and motion"),
+        "busy": ErrorTerm("this fraction of the requests finds the coupler busy", 1, "share", "", 0.0, 1.0, 0.05),
+        "odd_frames": ErrorTerm("this fraction of the responses is no Modbus", 1, "share", "", 0.0, 1.0, 0.02),
+        "other_unit": ErrorTerm("responses have this unit id", 1, "1", "", 0.0, 255.0, 255.0),
     },
     "camera": {
         "drop": ErrorTerm("packets are lost", 1, "share", "", 0.0, 1.0, 1.0),

@@ -21,6 +21,8 @@ class WordsCan(ConfigModel):
     """Baud rate of a serial adapter."""
     bitrate: Annotated[int, Field(gt=0)] = 500_000
     """Bit rate of the bus, bit/s."""
+    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Further arguments of that interface, such as `host` and `port` of socketcand."""
     identifier: Annotated[int, Field(ge=1, le=0x7FF)] = 0x120
     """11-bit identifier of the command words."""
 

@@ -156,7 +156,7 @@ SCENARIO_LIMITS: Final = (
     Limit("gnc.integrity.risk_probability", "protection levels below the error", 1e-5, 1e-3, 0.5),
     Limit("gnc.integrity.go_risk_probability", "a go outside the requirement", 1e-3, 1e-2, 0.5),
     Limit("gnc.integrity.cusum_limit_sigmas", "poses that drift", 72.0, 200.0, 1e6),
-    Limit("gnc.integrity.go_cusum_sigmas", "a go with poses that drift", 24.0, 100.0, 1e6),
+    Limit("gnc.integrity.go_alarm_interval_s", "a go with poses that drift", 3.6e5, 3.6e6, 1e8),
     Limit("gnc.integrity.mean_shift_sigmas", "poses that drift", 1.0, 5.0, 1e3),
     Limit("gnc.integrity.pose_sigma_max_m", "poses of no use", 2.0, 10.0, 1e3),
     Limit("gnc.integrity.pose_sigma_max_deg", "poses of no use", 45.0, 90.0, 180.0),

@@ -45,7 +45,7 @@ class Orbit(ConfigModel):
     """Central body: `moon`, `earth`, `mars`, `bennu` or a file, see [Orbits](../../explanation/orbits.md)."""
     altitude_m: Positive
     """Of the semi-major axis above the equatorial radius of the body."""
-    eccentricity: Annotated[float, Field(ge=0.0, lt=0.1)] = 0.0
+    eccentricity: Annotated[float, Field(ge=0.0, le=0.7)] = 0.0
     """Eccentricity."""
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
     """Against the body's equator."""

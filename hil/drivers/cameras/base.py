@@ -41,6 +41,47 @@ class CameraFrame:
     stamp_s: float = math.nan
 
 
+EXPOSURE_STARTS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
+"""Triggers that start one exposure (SFNC), the preferred one first."""
+_GAIN_TOLERANCE_DB: Final = 0.5
+
+
+def stamp_of(stamp_s: float) -> float:
+    """Return the time stamp of a frame; nan for 0, which a camera without a clock sends."""
+    return stamp_s if stamp_s != 0.0 else math.nan
+
+
+def check_gain_unit(name: str, requested_db: float, unit: str | None) -> None:
+    """Raise DeviceError unless a camera's gain is in dB.
+
+    unit: of the feature Gain, None if the camera has a whole number in units of its own alone.
+    """
+    if unit is None:
+        raise DeviceError(
+            name,
+            f"gain_db = {requested_db:g}: the camera has GainRaw alone, in units of its own: enter "
+            "features = { GainRaw = ... } by its manual",
+        )
+    if unit.strip().lower() != "db":
+        raise DeviceError(
+            name,
+            f"gain_db = {requested_db:g}: the unit of its Gain is {unit.strip() or 'not declared'}: enter "
+            "features = { Gain = ... } by its manual",
+        )
+
+
+def check_gain_limits(name: str, requested_db: float, limits: tuple[float, float]) -> None:
+    """Raise DeviceError unless a gain is within the limits of the camera."""
+    if not limits[0] <= requested_db <= limits[1]:
+        raise DeviceError(name, f"gain_db = {requested_db:g}: allowed {limits[0]:g} to {limits[1]:g}")
+
+
+def check_gain_set(name: str, requested_db: float, actual_db: float) -> None:
+    """Raise DeviceError if a camera has another gain than requested."""
+    if abs(actual_db - requested_db) > _GAIN_TOLERANCE_DB:
+        raise DeviceError(name, f"gain_db = {requested_db:g}: the camera reports {actual_db:g}")
+
+
 class Camera(Protocol):
     """A camera that is open and set up; not thread-safe except for ``trigger``."""
 

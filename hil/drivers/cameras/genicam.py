@@ -10,7 +10,19 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.tables.cameras import CameraSettings
-from hil.drivers.cameras.base import BITS, SHUTTER, CameraFrame, CameraInfo, check_size, to_8_bits
+from hil.drivers.cameras.base import (
+    BITS,
+    EXPOSURE_STARTS,
+    SHUTTER,
+    CameraFrame,
+    CameraInfo,
+    check_gain_limits,
+    check_gain_set,
+    check_gain_unit,
+    check_size,
+    stamp_of,
+    to_8_bits,
+)
 from hil.drivers.cameras.libaravis import AravisError, aravis
 from hil.errors import DeviceError, LinkLost
 
@@ -68,7 +80,7 @@ class GenicamCamera:
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
         if settings.gain_db is not None:
-            self._do("gain", library.camera_set_gain, camera, settings.gain_db)
+            self._set_gain(settings.gain_db)
         self._set_trigger(settings, rate_hz)
         self._stream = self._do("stream", library.camera_create_stream, camera, None, None)
         if self._stream is None:
@@ -89,6 +101,38 @@ class GenicamCamera:
         source = "Software" if settings.trigger == "software" else settings.trigger_source
         self._check_offered("trigger source", source, library.camera_dup_available_trigger_sources)
         self._do("trigger", library.camera_set_trigger, camera, source.encode())
+
+        self._check_trigger_selector()
+
+    def _check_trigger_selector(self) -> None:
+        """Raise DeviceError if what libaravis has switched on is no trigger of an exposure."""
+        library = self._library
+        try:
+            device = library.camera_get_device(self._camera)
+            selector = (library.device_get_string_feature_value(device, b"TriggerSelector") or b"").decode()
+        except AravisError:
+            return  # the camera has one trigger
+        if selector and selector not in EXPOSURE_STARTS:
+            raise DeviceError(self._name, f"trigger selector {selector}: allowed {', '.join(EXPOSURE_STARTS)}")
+
+    def _set_gain(self, gain_db: float) -> None:
+        """Set the gain by a feature in dB, with the automatic one off, and read it back."""
+        library, unit, feature = self._library, None, b""
+        device = library.camera_get_device(self._camera)
+        with contextlib.suppress(AravisError):  # cameras without an automatic gain
+            library.device_set_features_from_string(device, b"GainAuto=Off")
+        for name in (b"GainAbs", b"Gain"):
+            node = library.device_get_feature(device, name)
+            if node and library.is_a(node, library.gc_float_get_type()):
+                feature, unit = name, (library.gc_float_get_unit(node) or b"").decode(errors="replace")
+        check_gain_unit(self._name, gain_db, unit)
+        low, high = ctypes.c_double(), ctypes.c_double()
+        limits = ctypes.byref(low), ctypes.byref(high)
+        self._do("gain", library.device_get_float_feature_bounds, device, feature, *limits)
+        check_gain_limits(self._name, gain_db, (low.value, high.value))
+        self._do("gain", library.device_set_float_feature_value, device, feature, gain_db)
+        actual_db = self._do("gain", library.device_get_float_feature_value, device, feature)
+        check_gain_set(self._name, gain_db, actual_db)
 
     def _check_offered(self, what: str, requested: str, offered: Callable[..., Any]) -> None:
         """Raise DeviceError if the camera does not have ``requested``; a camera that does not list them is tried."""
@@ -140,12 +184,15 @@ class GenicamCamera:
                 return None
             number, stamp_s = library.buffer_get_frame_id(buffer), 1e-9 * library.buffer_get_timestamp(buffer)
             image = self._image(buffer) if status == _COMPLETE else None
-            return CameraFrame(image, number, stamp_s)
+            return CameraFrame(image, number, stamp_of(stamp_s))
         finally:
             library.stream_push_buffer(self._stream, buffer)
 
     def set_exposure(self, exposure_s: float) -> None:
         """Set the exposure time. Raises DeviceError."""
+        with contextlib.suppress(AravisError):  # cameras without an automatic exposure
+            device = self._library.camera_get_device(self._camera)
+            self._library.device_set_features_from_string(device, b"ExposureAuto=Off")
         self._do("exposure time", self._library.camera_set_exposure_time, self._camera, 1e6 * exposure_s)
 
     def _image(self, buffer: int) -> np.ndarray:

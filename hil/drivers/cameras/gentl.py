@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.tables.cameras import CameraSettings
-from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
+from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, stamp_of, to_8_bits
 from hil.drivers.cameras.node_map import NodeMap, link_lost, reason, vendor_module
 from hil.errors import DeviceError, LinkLost
 
@@ -82,7 +82,7 @@ class GentlCamera:
             if buffer is None:
                 return None
             try:
-                return CameraFrame(self._image(buffer), buffer.frame_id, _stamp_s(buffer, self._errors))
+                return CameraFrame(self._image(buffer), buffer.frame_id, stamp_of(_stamp_s(buffer, self._errors)))
             finally:
                 buffer.parent.queue_buffer(buffer)
 

@@ -49,8 +49,12 @@ _FUNCTIONS: Final[dict[str, tuple[Any, list[Any]]]] = {
     "arv_camera_dup_available_trigger_sources": (POINTER(c_char_p), [c_void_p, POINTER(c_uint), "error"]),
     "arv_camera_set_exposure_time": (None, [c_void_p, c_double, "error"]),
     "arv_camera_get_exposure_time": (c_double, [c_void_p, "error"]),
-    "arv_camera_set_gain": (None, [c_void_p, c_double, "error"]),
-    "arv_camera_get_gain": (c_double, [c_void_p, "error"]),
+    "arv_device_set_float_feature_value": (None, [c_void_p, c_char_p, c_double, "error"]),
+    "arv_device_get_float_feature_value": (c_double, [c_void_p, c_char_p, "error"]),
+    "arv_device_get_float_feature_bounds": (None, [c_void_p, c_char_p, POINTER(c_double), POINTER(c_double), "error"]),
+    "arv_device_get_feature": (c_void_p, [c_void_p, c_char_p]),
+    "arv_gc_float_get_type": (c_size_t, []),
+    "arv_gc_float_get_unit": (c_char_p, [c_void_p]),
     "arv_camera_set_frame_rate": (None, [c_void_p, c_double, "error"]),
     "arv_camera_set_trigger": (None, [c_void_p, c_char_p, "error"]),
     "arv_camera_clear_triggers": (None, [c_void_p, "error"]),
@@ -119,6 +123,10 @@ class Aravis:
         """Set the property ``name`` of an object: an int is an unsigned one, a float a double."""
         number = c_uint(value) if isinstance(value, int) else c_double(value)
         self._gobject.g_object_set(c_void_p(thing), name.encode(), number, c_void_p(None))
+
+    def is_a(self, thing: int, kind: int) -> bool:
+        """Return whether an object is of the type ``kind`` of GObject."""
+        return bool(self._gobject.g_type_check_instance_is_a(c_void_p(thing), c_size_t(kind)))
 
     def unref(self, thing: int) -> None:
         """Release a reference to an object."""

@@ -10,7 +10,14 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from hil.config.tables.cameras import CameraSettings
-from hil.drivers.cameras.base import SHUTTER, check_size
+from hil.drivers.cameras.base import (
+    EXPOSURE_STARTS,
+    SHUTTER,
+    check_gain_limits,
+    check_gain_set,
+    check_gain_unit,
+    check_size,
+)
 from hil.errors import DeviceError, LinkLost
 
 _PACKET_SIZE: Final = "GevSCPSPacketSize"
@@ -41,7 +48,7 @@ class NodeMap:
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
         if settings.gain_db is not None:
-            self._set_by_hand("Gain", "GainAuto", settings.gain_db)
+            self._set_gain(settings.gain_db)
         self._set_trigger(settings, rate_hz)
 
     def has(self, feature: str) -> bool:
@@ -75,6 +82,16 @@ class NodeMap:
         """Set the exposure time."""
         feature = "ExposureTime" if self.has("ExposureTime") else "ExposureTimeAbs"
         self._set_by_hand(feature, "ExposureAuto", 1e6 * exposure_s)
+
+    def _set_gain(self, gain_db: float) -> None:
+        """Set the gain by a feature in dB, with the automatic one off, and read it back."""
+        feature = next((each for each in ("Gain", "GainAbs") if self.has(each)), "")
+        unit = str(getattr(self._node(feature), "unit", "")) if feature else None
+        check_gain_unit(self._name, gain_db, unit)
+        limits = float(self._attribute(feature, "min")), float(self._attribute(feature, "max"))
+        check_gain_limits(self._name, gain_db, limits)
+        self._set_by_hand(feature, "GainAuto", gain_db)
+        check_gain_set(self._name, gain_db, float(self._attribute(feature, "value")))
 
     def _set_by_hand(self, feature: str, automatic: str, value: float) -> None:
         if self.has(automatic):
@@ -110,8 +127,12 @@ class NodeMap:
             return
         if not self.has("TriggerSource"):
             raise DeviceError(self._name, f'trigger = "{settings.trigger}": the camera has no trigger')
-        if "FrameStart" in selectors:
-            self.set("TriggerSelector", "FrameStart")
+        if selectors:
+            start = next((each for each in EXPOSURE_STARTS if each in selectors), None)
+            if start is None:
+                allowed = ", ".join(EXPOSURE_STARTS)
+                raise DeviceError(self._name, f"trigger selectors {', '.join(selectors)}: none of {allowed}")
+            self.set("TriggerSelector", start)
         self.set("TriggerMode", "On")
         source = "Software" if settings.trigger == "software" else settings.trigger_source
         self._choose("trigger source", "TriggerSource", source)

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import struct
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import CameraFrame, CameraInfo, check_size
 from hil.errors import DeviceError, LinkLost
+
+_MANUAL: Final = 1  # V4L2_EXPOSURE_MANUAL
+_UNIT_S: Final = 1e-4  # V4L2: units of 100 us
+_TOLERANCE: Final = 0.1
+_QUERY_CAPABILITIES: Final = 0x8068_5600  # VIDIOC_QUERYCAP
+_CAPABILITIES: Final = struct.Struct("16s32s32sIII12x")  # driver, card, bus, version, capabilities of device and node
+_VIDEO_CAPTURE: Final = 0x1 | 0x1000  # single-planar, multi-planar
 
 
 class V4l2Camera:
@@ -26,6 +37,12 @@ class V4l2Camera:
             raise DeviceError(name, f'trigger = "{settings.trigger}": V4L2 cameras have "none"')
         if settings.pixel_format != "Mono8":
             raise DeviceError(name, f'pixel_format = "{settings.pixel_format}": of V4L2 cameras allowed is "Mono8"')
+        if settings.gain_db is not None:
+            raise DeviceError(
+                name, f"gain_db = {settings.gain_db:g}: the gain of V4L2 cameras has no unit, leave it out"
+            )
+        if settings.features:
+            raise DeviceError(name, f"features {', '.join(settings.features)}: V4L2 cameras have none, leave them out")
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it logs is raised below
         self._capture = cv2.VideoCapture(identifier, cv2.CAP_V4L2)
         if not self._capture.isOpened():
@@ -73,17 +90,41 @@ class V4l2Camera:
         """Set the exposure time."""
         import cv2
 
-        self._capture.set(cv2.CAP_PROP_EXPOSURE, 1e4 * exposure_s)  # V4L2: units of 100 us
+        for key, value, what in (
+            (cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL, "manual exposure"),
+            (cv2.CAP_PROP_EXPOSURE, max(1, round(exposure_s / _UNIT_S)), f"exposure_s = {exposure_s:g}"),
+        ):
+            self._capture.set(key, value)
+            if abs(self._capture.get(key) - value) > _TOLERANCE * value:
+                raise DeviceError(self._name, f"{what}: the camera does not take it")
 
     def close(self) -> None:
         """Release the device. Idempotent."""
         self._capture.release()
 
 
-def found_devices() -> list[CameraInfo]:
-    """Return the video devices of this host."""
+def _captures(path: Path) -> bool:
+    """Return whether a node gives images; cameras have further ones, of metadata."""
+    try:
+        descriptor = os.open(f"/dev/{path.name}", os.O_RDWR | os.O_NONBLOCK)
+    except OSError:  # in use, or without permission: the first node of a device gives its images
+        index = path / "index"
+        return not index.exists() or index.read_text().strip() == "0"
+    try:
+        answer = fcntl.ioctl(descriptor, _QUERY_CAPABILITIES, bytes(_CAPABILITIES.size))
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return bool(_CAPABILITIES.unpack(answer)[5] & _VIDEO_CAPTURE)
+
+
+def found_devices(folder: Path = Path("/sys/class/video4linux")) -> list[CameraInfo]:
+    """Return the video devices of this host that give images."""
     devices = []
-    for path in sorted(Path("/sys/class/video4linux").glob("video*")):
+    for path in sorted(folder.glob("video*")):
+        if not _captures(path):
+            continue
         model = (path / "name").read_text(errors="replace").strip()
         devices.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2", "v4l2"))
     return devices

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import struct
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
@@ -11,7 +12,8 @@ from typing import Any, Final
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
-from pymodbus.pdu import ModbusPDU
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from hil.config.tables.io import Io
 from hil.core.clock import BenchClock
@@ -21,6 +23,12 @@ from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 
 _LAST_REQUEST_WALL_S: Final = 0.02
 _HANGS_UP_WALL_S: Final = 0.002
+_AGAIN_WALL_S: Final = 0.002
+_BUSY: Final = (5, 6, 11)  # exception codes: acknowledge, busy, gateway without a response
+_ANY_UNIT: Final = (0, 255)  # of Modbus TCP devices for which the unit id has no meaning
+_UNIT_AT: Final = 6
+_FUNCTION_AT: Final = 7
+_FUNCTIONS: Final = frozenset(Function)
 _IDENTITY: Final = ("vendor", "product", "revision")  # objects 0, 1, 2
 
 # Errors are raised with the device; pymodbus would log a packet trace to standard error.
@@ -30,7 +38,7 @@ logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 class Coupler:
     """One coupler; requires a running event loop.
 
-    timeout_s: bench time for a response.
+    timeout_s: bench time for a response. counters: of busy responses, of odd frames, of responses with another unit id.
     """
 
     def __init__(self, config: Io, lines: LineMap, timeout_s: float, clock: BenchClock) -> None:
@@ -43,6 +51,7 @@ class Coupler:
         self._waits: set[asyncio.Timeout] = set()  # time-outs of pending requests
         self._decode_error: BaseException | None = None
         asyncio.get_running_loop().set_exception_handler(self._on_decode_error)
+        self.counters = {"busy": 0, "odd": 0, "other_unit": 0}
         self._client = AsyncModbusTcpClient(
             config.host,
             port=config.port or 0,
@@ -51,6 +60,8 @@ class Coupler:
             reconnect_delay=0,  # a lost coupler stays lost until the bench is opened again
             trace_connect=self._on_connection,
         )
+        self._framer = _TolerantFramer(self.counters, self._on_odd_frame)
+        self._client.ctx.framer = self._framer
 
     async def identify(self) -> None:
         """Connect and check the identity, if the rig file requires one."""
@@ -125,6 +136,12 @@ class Coupler:
                 if not wait.expired():
                     wait.reschedule(0.0)
 
+    def _on_odd_frame(self, error: ModbusException) -> None:
+        """End the wait for a response that has been damaged: it is requested again."""
+        pending = self._client.ctx.response_future
+        if not pending.done():
+            pending.set_exception(error)
+
     def _on_decode_error(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Store the error of pymodbus on invalid bytes (called by asyncio, which then disconnects)."""
         self._decode_error = context.get("exception", self._decode_error)
@@ -135,26 +152,82 @@ class Coupler:
         return LinkLost(NAME, f"{self._address} closed the connection")
 
     async def _request(self, function: Function, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
+        """Return the response; a busy coupler and odd frames are counted, and asked again for ``timeout_s``."""
         if not self._client.connected:
             raise self._lost()
+        problem: DeviceError | None = None
+        self._framer.stranger = None
         try:
             async with asyncio.timeout(self._timeout_wall_s) as wait:
                 self._waits.add(wait)
                 try:
-                    reply = await request()
+                    while True:
+                        try:
+                            reply = await request()
+                        except ConnectionException:
+                            raise
+                        except ModbusException as error:
+                            problem, code = ProtocolError(NAME, str(error)), 0
+                        else:
+                            problem, code = self._problem(function, reply), getattr(reply, "exception_code", 0)
+                        if problem is None:
+                            return reply
+                        if code and code not in _BUSY:
+                            raise problem
+                        self.counters["busy" if code else "odd"] += 1
+                        await asyncio.sleep(_AGAIN_WALL_S)
                 finally:
                     self._waits.discard(wait)
         except TimeoutError as error:
             if not self._client.connected:
                 raise self._lost() from error
-            raise LinkTimeout(NAME, f"no answer within {self._timeout_s:g} s") from error
+            if problem is not None:
+                raise problem from error
+            raise LinkTimeout(NAME, f"no answer within {self._timeout_s:g} s{self._framer.stranger_text()}") from error
         except ConnectionException as error:
             raise self._lost() from error
-        except ModbusException as error:
-            raise ProtocolError(NAME, str(error)) from error
+
+    def _problem(self, function: Function, reply: ModbusPDU) -> ProtocolError | None:
+        """Return the error of a response that is none to ``function``, None for a good one."""
         if reply.isError():
             code = getattr(reply, "exception_code", 0)
-            raise ProtocolError(NAME, f"Modbus exception {code} to function {reply.function_code & 0x7F}")
+            return ProtocolError(NAME, f"Modbus exception {code} to function {reply.function_code & 0x7F}")
         if reply.function_code != function:  # pymodbus accepts any
-            raise ProtocolError(NAME, f"response to function {reply.function_code}, expected {function:d}")
-        return reply
+            return ProtocolError(NAME, f"response to function {reply.function_code}, expected {function:d}")
+        return None
+
+
+class _TolerantFramer(FramerSocket):
+    """Framer of pymodbus that also takes responses of the unit ids 0 and 255, and that outlives odd frames.
+
+    A response is one by its transaction. on_odd: called with the error of a frame that is none. stranger: unit id of a
+    response that was not taken.
+    """
+
+    def __init__(self, counters: dict[str, int], on_odd: Callable[[ModbusException], None]) -> None:
+        super().__init__(DecodePDU(False))
+        self._counters = counters
+        self._on_odd = on_odd
+        self.stranger: int | None = None
+
+    def stranger_text(self) -> str:
+        """Return an addition to the text of a time-out."""
+        return "" if self.stranger is None else f"; unit {self.stranger} has answered: correct io.device_id"
+
+    def handleFrame(self, data: bytes, exp_devid: int, exp_tid: int) -> tuple[int, ModbusPDU | None]:
+        unit, transaction = data[_UNIT_AT] if len(data) > _UNIT_AT else exp_devid, int.from_bytes(data[:2], "big")
+        if unit != exp_devid and transaction == exp_tid:
+            if unit in _ANY_UNIT:
+                self._counters["other_unit"] += 1
+                data = data[:_UNIT_AT] + bytes((exp_devid,)) + data[_UNIT_AT + 1 :]
+            else:
+                self.stranger = unit
+        is_known = len(data) <= _FUNCTION_AT or data[_FUNCTION_AT] & 0x7F in _FUNCTIONS
+        if len(data) >= _UNIT_AT and (data[2:4] != b"\0\0" or not is_known):
+            self._on_odd(ModbusException(f"no response of a coupler: {data[:16].hex(' ')}"))
+            return len(data), None
+        try:
+            return super().handleFrame(data, exp_devid, exp_tid)
+        except (ModbusException, ValueError, IndexError, struct.error) as error:
+            self._on_odd(ModbusException(f"invalid data: {error}"))
+            return len(data), None

@@ -46,8 +46,9 @@ class ModbusIo(LoopThread):
         self._box: Latest[IoInputs] = Latest(NAME)
         self._box.fail(LinkLost(NAME, "is not open"))
         self._outputs = _OFF
-        self._pump = False
+        self._pump = self._pump_written = False  # a slow coupler gets each edge
         self._toggled_s = 0.0
+        self._coupler: Coupler | None = None
         self._thrusters = b""
         self._thrusters_s = math.nan
         self._stopped = True
@@ -60,7 +61,7 @@ class ModbusIo(LoopThread):
         self._await_previous_thread(bound_s)
         self._box = Latest(NAME)
         self._outputs = _OFF
-        self._pump = self._stopped = False
+        self._pump = self._pump_written = self._stopped = False
         self._toggled_s = -math.inf
         self._thrusters, self._thrusters_s = bytes(len(self._lines.thrusters)), math.nan
         self._is_off.clear()
@@ -73,7 +74,7 @@ class ModbusIo(LoopThread):
     def pulse(self, now_s: float) -> None:
         """Toggle the charge pump, unless it was toggled within the pump's period."""
         due = now_s - self._toggled_s >= self._clock.paced_s(self._config.pump_period_s)
-        if due and self._outputs.pump and not self._stopped:
+        if due and self._outputs.pump and not self._stopped and self._pump == self._pump_written:
             self._pump = not self._pump
             self._toggled_s = now_s
             self._call(self._wake.set)
@@ -88,6 +89,10 @@ class ModbusIo(LoopThread):
     def read(self, now_s: float) -> IoInputs:
         """Return the inputs of the newest exchange."""
         return self._box.get(now_s, self._config.timeout_s)
+
+    def counters(self) -> dict[str, int]:
+        """Return how often the coupler was busy, sent an odd frame, or answered with another unit id."""
+        return {} if self._coupler is None else dict(self._coupler.counters)
 
     def stop(self, now_s: float) -> None:
         """Set all outputs off; wait for the coupler's confirmation, at most 0.08 s of wall time."""
@@ -114,7 +119,7 @@ class ModbusIo(LoopThread):
     async def _live(self, opened: Future[None]) -> None:
         # Slightly below the limit of the box, so that the error names what was waited for.
         timeout_s = max(0.5 * self._config.timeout_s, self._config.timeout_s - 1.5 * IDLE_PERIOD_S)
-        coupler = Coupler(self._config, self._lines, timeout_s, self._clock)
+        coupler = self._coupler = Coupler(self._config, self._lines, timeout_s, self._clock)
         try:
             await coupler.identify()
             await self._begin(coupler)
@@ -148,6 +153,7 @@ class ModbusIo(LoopThread):
         started_s = self._clock.now_s()
         levels = self._levels()
         inputs = await coupler.exchange(levels)
+        self._pump_written = levels[self._lines.coils[0]]
         t_s = 0.5 * (started_s + self._clock.now_s())
         thrusters = bytes(levels[coil] for coil in self._lines.thrusters)
         if thrusters != self._thrusters:

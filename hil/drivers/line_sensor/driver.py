@@ -60,8 +60,6 @@ class LineSensor:
             self._port.write(protocol.start)
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             raise LinkLost(name, f"cannot open {settings.port}: {cause}") from cause
-        with contextlib.suppress(ValueError):  # not supported by all UART drivers
-            self._port.set_low_latency_mode(True)
         self._reader = clock.start_thread(lambda: self._read(self._port), f"{name}-reader")
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:

@@ -7,7 +7,7 @@ the exchange number, if the drive echoes one. Others are counted: damaged bytes,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from pymodbus.framer import FramerRTU
@@ -16,6 +16,7 @@ READ: Final = 3
 WRITE_ONE: Final = 6
 WRITE: Final = 16
 READ_WRITE: Final = 23
+ANY_UNIT: Final = (0, 255)  # of Modbus TCP devices for which the unit id has no meaning
 _READING: Final = (READ, READ_WRITE)
 _WRITING: Final = (WRITE_ONE, WRITE)
 _ERROR: Final = 0x80
@@ -27,7 +28,7 @@ Counters = dict[str, int]
 
 def new_counters() -> Counters:
     """Return the counters of the wires of one driver, all zero."""
-    return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0}
+    return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0, "other_unit": 0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +46,11 @@ class Expected:
     echo: tuple[int, int] | None = None
     written: tuple[int, int] | None = None
 
-    def is_answered_by(self, frame: ModbusFrame) -> bool:
-        if (frame.device_id, frame.transaction) != (self.device_id, self.transaction):
+    def is_answered_by(self, frame: ModbusFrame, any_unit: bool = False) -> bool:
+        """Return whether ``frame`` is the response. any_unit: the unit ids 0 and 255 are those of any device."""
+        if frame.transaction != self.transaction:
+            return False
+        if frame.device_id != self.device_id and not (any_unit and frame.device_id in ANY_UNIT):
             return False
         if frame.function == self.function | _ERROR:
             return True
@@ -154,19 +158,21 @@ class ResponseMatcher:
     """Selects the response to the pending request, and counts everything else.
 
     expect: set with each request, None between requests. damaged: description of damaged bytes received since then,
-    "" for none.
+    "" for none. stranger: unit id of another device that has answered since then. Over TCP, where the transaction shows
+    which request is answered, the unit ids 0 and 255 are accepted, and counted.
     """
 
     tcp: bool
     counters: Counters
     expect: Expected | None = None
     damaged: str = ""
+    stranger: int | None = None
     _last: ModbusFrame | None = field(default=None)
 
     def await_(self, expected: Expected | None) -> None:
         """Start a request; None: without a response."""
         self.expect = expected
-        self.damaged = ""
+        self.damaged, self.stranger = "", None
 
     def feed(self, data: bytes) -> tuple[int, ModbusFrame | None]:
         """Return the number of bytes consumed, and the expected response if it is among them."""
@@ -177,10 +183,13 @@ class ResponseMatcher:
         answer = None
         for raw in frames:
             frame = parse(raw, self.tcp)
-            if self.expect is not None and self.expect.is_answered_by(frame):
-                answer = self._last = frame
+            if self.expect is not None and self.expect.is_answered_by(frame, any_unit=self.tcp):
+                self.counters["other_unit"] += frame.device_id != self.expect.device_id
+                answer = self._last = replace(frame, device_id=self.expect.device_id)
                 self.expect = None
             else:
+                if self.expect is not None and frame.device_id != self.expect.device_id:
+                    self.stranger = frame.device_id
                 self._count_stray(frame)
         return used, answer
 

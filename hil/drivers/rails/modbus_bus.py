@@ -21,7 +21,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 from hil.config.tables.rail_wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.drivers.rails.frames import READ, READ_WRITE, WRITE_ONE, Counters, Expected, ModbusFrame, ResponseMatcher
-from hil.drivers.serial_port import url_of
+from hil.drivers.serial_port import set_low_latency, url_of
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PARITY: Final = {"none": "N", "even": "E", "odd": "O"}
@@ -147,6 +147,8 @@ class ModbusBus:
         if not connected:
             why = "nothing listens there" if self.tcp else "the port cannot be opened"
             raise LinkLost(name, f"no connection to {self.label}: {why}")
+        if not self.tcp:
+            set_low_latency(getattr(self._client.ctx.transport, "sync_serial", None))
 
     async def read(
         self, name: str, device_id: int, read: tuple[int, int], timeout_s: float, echo: tuple[int, int] | None = None
@@ -264,7 +266,11 @@ class ModbusBus:
                 raise LinkLost(name, f"{self.label} closed the connection") from error
             if self._matcher.damaged:
                 raise ProtocolError(name, f"answer damaged on the way, {self._matcher.damaged}") from error
-            raise LinkTimeout(name, "no answer") from error
+            stranger = self._matcher.stranger
+            hint = (
+                "" if stranger is None else f" of unit {expected.device_id}; unit {stranger} has answered: correct it"
+            )
+            raise LinkTimeout(name, f"no answer{hint}") from error
         except ConnectionException as error:
             raise LinkLost(name, f"{self.label} closed the connection") from error
         except ModbusException as error:

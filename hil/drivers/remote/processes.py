@@ -25,7 +25,13 @@ class _ChildLink:
     """One of the processes, its requests and its link."""
 
     def __init__(
-        self, name: str, rig: Rig, clock: BenchClock, memory: IoSharedMemory, server: ForkServer | None
+        self,
+        name: str,
+        rig: Rig,
+        clock: BenchClock,
+        memory: IoSharedMemory,
+        server: ForkServer | None,
+        period_s: float | None,
     ) -> None:
         here, there = socket.socketpair()
         configuration = {
@@ -33,6 +39,7 @@ class _ChildLink:
             "clock": clock.configuration(_ORDERS[name], name),
             "descriptors": memory.descriptors,
             "requests": there.fileno(),
+            "period_s": period_s,
         }
         descriptors = (*memory.descriptors, *clock.descriptors, there.fileno())
         try:
@@ -46,17 +53,19 @@ class _ChildLink:
 class IoProcesses:
     """Starts the processes that ``rig`` needs; ``close`` ends them, and they stop the bench first.
 
-    server: forks them; None: each is a program of its own, which hardware requires.
+    server: forks them; None: each is a program of its own, which hardware requires. period_s: of the setpoints.
     """
 
-    def __init__(self, rig: Rig, clock: BenchClock, server: ForkServer | None = None) -> None:
+    def __init__(
+        self, rig: Rig, clock: BenchClock, server: ForkServer | None = None, period_s: float | None = None
+    ) -> None:
         self._rig = rig
         self._clock = clock
         self._memory = IoSharedMemory.create(rig.held_numbers)
         self._processes: dict[str, _ChildLink] = {}
         try:
             for name in (IO, *((WATCHDOG,) if rig.has_io else ())):
-                self._processes[name] = _ChildLink(name, rig, clock, self._memory, server)
+                self._processes[name] = _ChildLink(name, rig, clock, self._memory, server, period_s)
         except BaseException:
             self.close()
             raise

@@ -86,8 +86,6 @@ class Rs422Vmu:
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             self.close()
             raise LinkLost(self.name, f"cannot open {self._line.port}: {cause}") from cause
-        with contextlib.suppress(ValueError):  # not supported by all UART drivers; FTDI chips add 16 ms otherwise
-            self._port.set_low_latency_mode(True)
         self._received.put(True, now_s)
         port = self._port
         self._reader = self._clock.start_thread(lambda: self._read(port), "vmu-reader")

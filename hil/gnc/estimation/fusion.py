@@ -80,7 +80,8 @@ FUSION_STATE = np.dtype(
         ("rejected_position", "i8"),  # by the gate on the innovation
         ("rejected_attitude", "i8"),
         ("duplicates", "i8"),
-        ("too_late", "i8"),  # or from the future, or one too many for a step: not placed
+        ("too_late", "i8"),  # or one too many for a step: not placed
+        ("from_future", "i8"),  # the same, by a clock that is ahead
         ("rejected_in_a_row", "i8"),  # consecutive rejections
         ("nis_position", "f8"),
         ("nis_attitude", "f8"),
@@ -110,6 +111,8 @@ FUSION_STATE = np.dtype(
     align=True,
 )
 
+_ALONE = 4  # times ``reopen_after``: consecutive poses that reopen the gate without a sound IMU
+_DIVERGED_S = 5.0
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: largest motion between two poses that agree
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
@@ -184,12 +187,17 @@ def _compare(state, pose):
 
 @kernel
 def _add_jump(state, z, delta_s):
-    """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much."""
+    """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much.
+
+    Without a sound IMU the velocity may be as well, by what leads there in ``_DIVERGED_S``.
+    """
     filters, position = state.filters, stack.vector(3)
     quat.transform_back_into(filters.akf.x[0:4], z, position)
     for i in range(3):
         jump = -position[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
         filters.p[R + i, R + i] += jump * jump
+        if state.thrust.without_imu == 1:
+            filters.p[V + i, V + i] += (jump / _DIVERGED_S) ** 2
         state.jump_m[i] = max(state.jump_m[i], abs(jump))
 
 
@@ -198,6 +206,9 @@ def _closed_gate(params, state, passes):
     """Return the result of the closed gate for a pose that agrees with the IMU's carry-over if ``passes``."""
     state.agreeing = state.agreeing + 1 if passes and state.mutual > 0 else 0
     if state.agreeing >= params.reopen_after:
+        return REOPENED
+    # an accused IMU is no witness against poses that agree with each other for longer
+    if state.thrust.without_imu == 1 and min(state.mutual, state.rejected_in_a_row) >= _ALONE * params.reopen_after:
         return REOPENED
     if state.accepted == 0 and state.mutual >= params.reopen_after:
         return RESTARTED
@@ -345,7 +356,7 @@ def _place(params, state, memory, pose):
         return -1
     cycle = to_integer(math.floor(pose.t_s / params.pkf.dt_s + 0.5))
     if cycle > state.cycle + params.ahead:  # the unit's clock runs ahead: the moment of exposure is unknown
-        state.too_late += 1
+        state.from_future += 1
         return -1
     cycle = min(cycle, state.cycle)
     oldest = max(0, state.cycle - params.memory + 1)

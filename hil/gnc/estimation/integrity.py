@@ -19,6 +19,7 @@ from hil.core.messages import POSE
 from hil.gnc.estimation import sensor_monitor, thrust_model
 from hil.gnc.estimation.error_state import V
 from hil.gnc.estimation.missed_fault import largest_missed
+from hil.maths import elementary
 from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
 from hil.sensors.vision_unit import pose as vmu_pose
@@ -33,6 +34,9 @@ SUMS: Final = 12
 LEVEL_TERMS: Final = 5
 """Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
 bound of the second sensor."""
+USUAL_SUM: Final = 12.0
+"""Sum that noise reaches about once in a minute, standard deviations: the level of a go contains what it hides."""
+_OVERSHOOT = 1.166  # of a sum of normal innovations beyond its limit, standard deviations (Siegmund 1985)
 _REPEATS_MAX = 2  # repetitions of a pose with all its digits: with noise none are expected
 _FOLLOW_EACH = 4  # accepted poses
 _CONVERGES = 4.0  # times the variance of the velocity: what it was
@@ -57,7 +61,7 @@ INTEGRITY_PARAMS = np.dtype(
         ("sigmas", "f8"),  # in a protection level, from the integrity risk
         ("sigmas_go", "f8"),  # in the level that a go needs, from the certificate's risk
         ("vision_range", "f8"),  # m, up to which vision is expected
-        ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is one, standard deviations
+        ("go_interval_s", "f8"),  # mean time between two withdrawals of a go by the sums of sound poses
     ],
     align=True,
 )
@@ -78,8 +82,11 @@ INTEGRITY_STATE = np.dtype(
         ("followed_speed", "f8"),  # 1/s, of the ramp that is never found, the same per second
         ("spread_mps", "f8"),  # standard deviation of the corrections of the velocity, largest
         ("drags", "i8"),  # 1: they are more than thrust and noise explain
-        ("followed_go", "f8"),  # as followed, of a fault that a sum of ``cusum_go`` does not show
-        ("go_m", "f8", 3),  # level that a go needs, inf while a CUSUM is beyond ``cusum_go``
+        ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is a go, standard deviations
+        ("worst", "f8"),  # largest sum
+        ("worst_of", "i8"),  # its number
+        ("followed_go", "f8"),  # as followed, of a fault that the present sums do not show
+        ("go_m", "f8", 3),  # level that a go needs
         ("level", "f8", 3),  # m, protection level of the cycle before
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of which it consists, see ``LEVEL_TERMS``
         ("cap", "f8", 3),  # m, the level when poses returned after a gap: with them less is possible, not more
@@ -123,6 +130,7 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
     nis_attitude: nan for a position alone, whose innovation of the attitude is 0.
     """
     state.monitored += 1
+    state.worst = 0.0
     for i in range(SUMS):
         value = innovation[min(i, 5)]
         if i >= 6:  # a fault between two axes is no larger before it is found than one along an axis
@@ -132,6 +140,9 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
         state.low[i] = max(0.0, state.low[i] - value - params.mean_shift)
         if state.high[i] > params.cusum_limit or state.low[i] > params.cusum_limit:
             state.biased = 1
+        larger = max(state.high[i], state.low[i])
+        if larger > state.worst:
+            state.worst, state.worst_of = larger, i
     weight = max(params.nis_weight, 1.0 / state.monitored)
     state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
     if not math.isnan(nis_attitude):
@@ -165,6 +176,22 @@ def missed_shift(params, accepted):
 
 
 @kernel
+def go_sum(params, interval_s):
+    """Return the largest sum of the CUSUM for a go, standard deviations, with poses every ``interval_s``.
+
+    The sums of sound poses, upwards and downwards, pass it once in ``go_interval_s`` in the mean: Siegmund's run length
+    (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166, inverted by iteration.
+    """
+    if not interval_s > 0.0:
+        return params.cusum_limit
+    twice = 2.0 * params.mean_shift
+    length = 0.5 * twice * twice * 2.0 * SUMS * params.go_interval_s / interval_s
+    power = elementary.log(length + 1.0)
+    power = elementary.log(length + 1.0 + power)
+    return min(params.cusum_limit, max(0.0, power / twice - _OVERSHOOT))
+
+
+@kernel
 def follow(params, state, fusion, dt_s):
     """Write ``followed``, ``followed_speed`` and ``followed_go``, of the largest faults of the poses that are missed.
 
@@ -184,9 +211,11 @@ def follow(params, state, fusion, dt_s):
     ramp, speed = largest_missed(params, gain, gain_speed, n, params.cusum_limit, 1, most)
     state.followed = max(step, ramp)
     state.followed_speed = speed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
-    n = min(n, params.cusum_go / params.mean_shift)
-    step, _ = largest_missed(params, gain, gain_speed, n, params.cusum_go, 0, np.inf)
-    ramp, _ = largest_missed(params, gain, gain_speed, n, params.cusum_go, 1, most)
+    state.cusum_go = go_sum(params, fusion.interval_s)
+    limit = min(state.cusum_go, max(USUAL_SUM, state.worst))  # what the sums have reached, noise or not, is a fault
+    n = min(n, limit / params.mean_shift)
+    step, _ = largest_missed(params, gain, gain_speed, n, limit, 0, np.inf)
+    ramp, _ = largest_missed(params, gain, gain_speed, n, limit, 1, most)
     state.followed_go = max(step, ramp)
 
 
@@ -256,10 +285,7 @@ def protect(params, sensors, state, fusion, t_s, out):
     age_s = max(0.0, t_s - fusion.last_accepted_s)
     velocity = state.followed_speed * fusion.noise_m
     bias = state.followed * fusion.noise_m + velocity * age_s
-    worst_sum = 0.0
-    for i in range(SUMS):
-        worst_sum = max(worst_sum, max(state.high[i], state.low[i]))
-    doubt = state.followed_go * fusion.noise_m if worst_sum <= params.cusum_go else np.inf
+    doubt = state.followed_go * fusion.noise_m
     unbounded = state.biased != 0 or fusion.unconfirmed != 0
     if unbounded:
         bias = doubt = np.inf

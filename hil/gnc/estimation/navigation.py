@@ -54,6 +54,14 @@ def bias_of(state, bias, sigma):
 
 
 @kernel
+def write_go(state, go):
+    """Write the level that a go needs and the largest sum of the innovations into ``go`` (GO_CHECK)."""
+    integrity = state.integrity
+    copy_into(go.level_m, integrity.go_m)
+    go.sum, go.sum_of, go.sum_limit = integrity.worst, integrity.worst_of, integrity.cusum_go
+
+
+@kernel
 def use_imu(params, state, memory, monitor, samples):
     """Let the commands replace an IMU that is suspect, from its first wrong readings on, and the IMU them afterwards.
 

@@ -38,6 +38,10 @@ JUMP_NIS: Final = 45.0
 JUMP_WINDOWS: Final = 4
 """Over which they are averaged for it."""
 
+_MEAN_WEIGHT: Final = 1.0 / 16.0
+"""Weight of a step in the mean of what bias and disturbance leave: a leak below the noise of a reading is no quiet."""
+_MEAN_SIGMAS: Final = 7.5
+
 THRUST_PARAMS = np.dtype(
     [
         ("enabled", "i8"),  # 1: a step without thrust is known to be one; 0: commands only replace an IMU
@@ -67,6 +71,7 @@ THRUST_STATE = np.dtype(
         ("rate_C", "f8", 3),  # rad/s, the last one used, with the gyros' drift
         ("drift", "f8", 3),  # rad/s, of the gyros, when they were replaced
         ("drift_variance", "f8", 3),
+        ("unexplained", "f8", 3),  # m/s^2, mean of what bias and disturbance leave of readings without thrust
         ("jumped", "i8"),  # step at which quiet readings did not agree with bias and disturbance, 0 for none
         ("spread", "f8"),  # (m/s)^2, what white noise adds to the velocity, forgotten over ``MEMORY_S``
         ("gained_C", "f8", 3),  # m/s, velocity by thrust, the same
@@ -94,17 +99,21 @@ def _expect(params, state, commanded, step):
 
 
 @kernel
-def _is_quiet(params, of_pkf, errors, filters, force):
-    """Return whether a reading ``force`` (3,) is what bias and disturbance explain."""
-    d = errors.disturbance
+def _is_quiet(params, of_pkf, errors, filters, force, mean):
+    """Return whether a reading ``force`` (3,) is what bias and disturbance explain, and so is the ``mean`` of them.
+
+    mean: (3,), m/s^2, what they have left of the readings so far, a low-pass, updated.
+    """
+    d, quiet = errors.disturbance, True
     for i in range(3):
-        b = BIAS + i
-        variance = of_pkf.sigma_accelerometer**2
-        variance += filters.p[b, b] + filters.p[d + i, d + i] + 2.0 * filters.p[b, d + i]
+        b, noise = BIAS + i, of_pkf.sigma_accelerometer**2
+        known = filters.p[b, b] + filters.p[d + i, d + i] + 2.0 * filters.p[b, d + i]
         off = force[i] - filters.pkf.x[6 + i] - filters.parameters[d + i]
-        if abs(off) > params.gate * math.sqrt(variance):
-            return False
-    return True
+        allowed = params.gate * math.sqrt(noise + known)
+        mean[i] += _MEAN_WEIGHT * (min(allowed, max(-allowed, off)) - mean[i])
+        if abs(off) > allowed or abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
+            quiet = False
+    return quiet
 
 
 @kernel
@@ -142,7 +151,8 @@ def begin(params, state, started, commanded, step):
     if is_closed and started and state.thrust.since > thrust.settle + 1:
         _doubt_disturbance(thrust, state, step)
     copy_into(state.thrust.rate_C, step.rate_C)
-    if is_closed and (not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C)):
+    mean = state.thrust.unexplained
+    if is_closed and (not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C, mean)):
         step.kind = QUIET
 
 

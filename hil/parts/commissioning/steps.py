@@ -22,6 +22,8 @@ from hil.parts.vision.view_plan import axes_record
 
 SCALE_ERROR_MAX: Final = 0.02
 _MOVE_M, _MOVE_RAD = 0.020, math.radians(2.0)
+_FIRST_M, _FIRST_RAD = 0.001, math.radians(0.1)  # largest motion before the first question
+_UNIT_ERROR_MAX: Final = 60.0  # of a drive whose unit is taken wrongly: revolutions per minute for per second
 _TRAVEL_FRACTION: Final = 0.25  # largest, of such a move
 _SHORT_OF_END_M, _SHORT_OF_END_RAD = 0.005, math.radians(0.5)
 _LAST_M, _LAST_RAD = 0.05, math.radians(5.0)  # before an end of the travel, at crawl speed
@@ -144,6 +146,7 @@ class Commissioning:
         self._title(f"{name}: sign and scale")
         start = mover.setpoints()
         distance = self._test_distance(axis, float(start[axis]))
+        self._first_move(mover, axis, math.copysign(1.0, distance))
         target = start.copy()
         target[axis] += distance
         reading = self._measured(mover, axis)
@@ -160,6 +163,30 @@ class Commissioning:
         self._require_yes(mover, name, "sign and scale", question, "sign and scale of drive and rig file")
         back = mover.crawl(axis, start)
         return AxisFindings(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))
+
+    def _first_move(self, mover: SlowMover, axis: int, direction: float) -> None:
+        """Move so little that the axis stays within 1 mm or 0.1 deg also if its drive is wrong by a factor of 60.
+
+        Raise StepFailed if encoder, measurement or technician contradict; only then the moves grow.
+        """
+        name, largest = self._bench.axis_names[axis], _FIRST_M if axis < 3 else _FIRST_RAD
+        start, commanded = mover.setpoints(), direction * largest / _UNIT_ERROR_MAX
+        target = start.copy()
+        target[axis] += commanded
+        reading = self._measured(mover, axis)
+        travelled = float(mover.crawl(axis, target).travelled[axis])
+        measured = self._measured(mover, axis) - reading
+        for value, source in ((travelled, "by the encoder"), (measured, "measured")):
+            if abs(value) > largest:
+                advice = "its units of position and velocity, and its gear, in drive and rig file"
+                raise StepFailed(
+                    f"{name}: first move", shown(axis, commanded), f"{shown(axis, value)} {source}", advice
+                )
+        question = (
+            f"{name} was commanded to move by {shown(axis, commanded)}. Did it stay within {size(axis, largest)}?"
+        )
+        self._require_yes(mover, name, "first move", question, "units and gear of drive and rig file")
+        mover.crawl(axis, start)
 
     def _test_distance(self, axis: int, position: float) -> float:
         """Return a short distance within the travel, positive if possible."""

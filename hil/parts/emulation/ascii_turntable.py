@@ -4,22 +4,48 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from typing import Final
 
 from hil.config.load import load_protocol
 from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
+from hil.drivers.tcp_port import SCHEME, is_tcp
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, FieldValues
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes, ReadChain
-from hil.parts.emulation.fault_injection import FaultyChannel
+from hil.parts.emulation.fault_injection import FaultyChannel, FaultyWire
+from hil.parts.emulation.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.shared_state import SharedAxisState
 
 _ALL: Final = (0, 1, 2)
+
+
+class _AsciiServer(ModbusTcpEmulator):
+    """The controller on a port of 127.0.0.1."""
+
+    def __init__(
+        self,
+        clock: BenchClock,
+        advance: Callable[[], None],
+        answers: Callable[[bytes], list[bytes]],
+        wire: FaultyWire,
+    ) -> None:
+        super().__init__(clock, clock.paced_s(STEP_S))
+        self._advance = advance
+        self._ports.append(ModbusTcpPort(lambda data: (len(data), answers(data)), wire, clock))
+
+    def listen(self) -> str:
+        """Listen; return the address."""
+        self._listen()
+        return f"{SCHEME}{self._ports[0].address}"
+
+    def _step(self) -> None:
+        self._advance()
 
 
 class AsciiTurntableEmulator:
@@ -41,7 +67,7 @@ class AsciiTurntableEmulator:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
         protocol = load_protocol(config.ascii.protocol).value
         self._clock = clock
-        self._bits = protocol.status
+        self._bits = protocol.bits
         self._words = protocol.emulator
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._following_error = protocol.faults.following_error or self._words.drive_fault
@@ -56,31 +82,52 @@ class AsciiTurntableEmulator:
         self._quick_stopped = False
         self.fault = [0, 0, 0]
         self._frozen: FieldValues | None = None
-        self._line = PtyLine(config.ascii.baud, clock)
+        self._server: _AsciiServer | None = None
+        self._line: PtyLine | None = None
+        if is_tcp(config.ascii.port or ""):
+            wire = FaultyWire(self.faults, stream(seed, "wire"))
+            self._server = _AsciiServer(clock, self._advance, self._answers, wire)
+        else:
+            self._line = PtyLine(config.ascii.baud, clock)
 
     def start(self) -> dict[str, str]:
-        """Return the path of the line."""
+        """Return the path of the line, or the address on the network."""
+        if self._server is not None:
+            return {self.faults.device: self._server.listen()}
+        assert self._line is not None
         return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""
+        if self._server is not None:
+            self._server.run(stop)
+            return
+        assert self._line is not None
         line, step_s = self._line, self._clock.paced_s(STEP_S)
         while not stop.is_set():
-            data = line.read(step_s)
-            if self.faults.value("link_down") is not None:
-                data = b""
-            self._advance()
-            for request in self.splitter.feed(data) if data else ():
-                reply = self.answer(request)
-                if reply:
-                    self._channel.put(reply, self._clock.now_s())
+            for reply in self._answers(line.read(step_s)):
+                self._channel.put(reply, self._clock.now_s())
             for reply in self._channel.due(self._clock.now_s()):
                 line.write(reply)
                 self._advance()
 
     def close(self) -> None:
         """Close the line."""
-        self._line.close()
+        if self._server is not None:
+            self._server.close()
+        if self._line is not None:
+            self._line.close()
+
+    def _answers(self, data: bytes) -> list[bytes]:
+        """Advance to the present; return the replies to the requests that ``data`` completes."""
+        self._advance()
+        if not data or self.faults.value("link_down") is not None:
+            return []
+        replies = []
+        for request in self.splitter.feed(data):
+            echo = request + self.protocol.requests.end if self.protocol.protocol.line.echo else b""
+            replies.append(echo + self.answer(request))
+        return [reply for reply in replies if reply]
 
     def answer(self, text: bytes) -> bytes:
         """Execute one request; return the reply, b"" for a broken line."""

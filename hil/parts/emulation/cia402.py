@@ -6,6 +6,7 @@ controller's checksum would reject the frame, so it is lost. A dead wire transfe
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import Protocol
 
@@ -16,16 +17,33 @@ from hil.core.clock import BenchClock
 from hil.drivers.checksums import crc16_ccitt
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort, Frame, SerialFrames, encode_serial
+from hil.drivers.turntable.cia402.units import Units
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
 from hil.parts.emulation.cia402_modes import DriveAxis
+from hil.parts.emulation.cia402_objects import ObjectDictionary
 from hil.parts.emulation.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.shared_state import SharedAxisState
 
 _ALONE_AFTER_S = 1.0
+
+
+class ForeignNode:
+    """Node of others on the bus, in operation. touched: frames of the bench that it has acted on."""
+
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
+        self.touched = 0
+
+    def on_frame(self, identifier: int, data: bytes) -> list[Frame]:
+        """Receive one frame of the bus; return the answer: a PDO to each SYNC."""
+        is_command = identifier == codec.NMT_ID and len(data) == 2 and data[1] in (0, self.node_id)
+        is_own = identifier & 0x7F == self.node_id and identifier & 0x780 in (codec.RPDO1_ID, codec.SDO_REQUEST_ID)
+        self.touched += is_command or is_own or identifier == codec.SYNC_ID
+        return [(codec.TPDO1_ID + self.node_id, bytes(8))] if identifier == codec.SYNC_ID else []
 
 
 class Station(Protocol):
@@ -51,7 +69,7 @@ class SerialStation:
         self._channel = FaultyChannel(faults, generator)
         self._line = PtyLine(round(10.0 * bytes_per_s), clock)
         self.address = self._line.path
-        self._frames = SerialFrames()
+        self._frames = SerialFrames(takes_remote=True)
         self._clock = clock
         self._received_s = -_ALONE_AFTER_S
 
@@ -125,8 +143,12 @@ class Cia402Emulator:
         self.faults = self.gimbals.faults
         self.drives = []
         for index, number in enumerate(config.axis_numbers):
-            axis = DriveAxis(self.gimbals, index, config.cia402.counts_per_turn, clock)
-            self.drives.append(EmulatedCia402Drive(config.cia402.node_ids[number], axis, WATCHDOG_S))
+            node_id = config.cia402.node_ids[number]
+            objects = ObjectDictionary(config.cia402, node_id, round(1000.0 * WATCHDOG_S))
+            units = Units(config.cia402.counts_per_turn / math.tau, objects.velocity)
+            axis = DriveAxis(self.gimbals, index, units, clock)
+            self.drives.append(EmulatedCia402Drive(node_id, axis, objects))
+        self.foreign_nodes = [ForeignNode(node_id) for node_id in config.cia402.emulated.foreign_nodes]
         noise = stream(seed, "wire")
         self._station: Station
         if config.cia402.interface == "serial":
@@ -146,11 +168,16 @@ class Cia402Emulator:
         while not stop.is_set():
             received = station.receive(stepped_s + step_s - self._clock.now_s())
             stepped_s = self._clock.now_s()
-            self.gimbals.advance(stepped_s)
-            frames = self._housekeep(stepped_s)
-            for frame in received:
-                frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, stepped_s)]
-            station.send(frames)
+            station.send(self.answers(received, stepped_s))
+
+    def answers(self, received: list[Frame], now_s: float) -> list[Frame]:
+        """Advance to ``now_s`` and take the received frames; return those of the drives."""
+        self.gimbals.advance(now_s)
+        frames = self._housekeep(now_s)
+        for frame in received:
+            frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, now_s)]
+            frames += [answer for node in self.foreign_nodes for answer in node.on_frame(*frame)]
+        return frames
 
     def close(self) -> None:
         """Leave the bus."""

@@ -11,14 +11,18 @@ from typing import Final
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import Frame
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
 from hil.parts.emulation.cia402_modes import DriveAxis, DriveMotion
+from hil.parts.emulation.cia402_objects import MappedPdo, ObjectDictionary
 
 _REMOTE = 0x0200  # statusword: the controlword is executed
 _VOLTAGE = 0x0010
 _GENERIC_ERROR = 0x01  # error register
 _COMMUNICATION_ERROR = 0x10
 _SDO_ABORT = 0x80
+_SYNCHRONOUS_MAX: Final = 240  # transmission types up to this are with every so many SYNC
+_ABORT_IS_A_FAULT: Final = 1  # abort connection option
+_WARNING: Final = 0x8210  # PDO not processed because of its length
+_BURST: Final = 5
 
 _POWERED: Final = (DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP_ACTIVE)
 _NMT_STATES: Final = {codec.NMT_START: codec.OPERATIONAL, codec.NMT_STOP: codec.STOPPED}
@@ -55,19 +59,21 @@ def command_of(controlword: int) -> str:
 
 
 class EmulatedCia402Drive:
-    """A drive on node ``node_id`` that moves ``axis``. ``watchdog_s``: default of object 0x1400:05.
+    """A drive on node ``node_id`` that moves ``axis``, with its object dictionary and its habits.
 
     Every method that can cause traffic returns the frames to send.
     """
 
-    def __init__(self, node_id: int, axis: DriveAxis, watchdog_s: float) -> None:
+    def __init__(self, node_id: int, axis: DriveAxis, objects: ObjectDictionary) -> None:
         self.node_id = node_id
         self.state = DriveState.SWITCH_ON_DISABLED
         self.operational = False
-        self.objects = ObjectDictionary(round(watchdog_s * 1000.0))
+        self.objects = objects
+        self._habits = objects.habits
         self._axis = axis
-        window = self.objects[codec.FOLLOWING_ERROR_WINDOW], self.objects[codec.FOLLOWING_ERROR_TIME_OUT]
-        window[0].value, window[1].value = axis.window()
+        window = axis.window()
+        objects.put(codec.FOLLOWING_ERROR_WINDOW, window[0])
+        objects.put(codec.FOLLOWING_ERROR_TIME_OUT, window[1])
         self._motion = DriveMotion(axis, self.objects)
         self._nmt_state = codec.PRE_OPERATIONAL
         self._beat_due_s = 0.0
@@ -76,6 +82,12 @@ class EmulatedCia402Drive:
         self._pdos: dict[int, MappedPdo] = {}
         self._status_due_s = 0.0
         self._status_sent: tuple[int, int] | None = None
+        self._syncs = 0
+        self._now_s = -math.inf
+        self._guarded_until_s = math.inf  # the master's heartbeat or guarding is due until then
+        self._toggle = 0
+        self._enable_due_s = math.inf
+        self._warned_s = 0.0
 
     def boot(self) -> list[Frame]:
         """Return the boot-up message."""
@@ -83,10 +95,13 @@ class EmulatedCia402Drive:
 
     def on_frame(self, identifier: int, data: bytes, now_s: float) -> list[Frame]:
         """Receive one frame of the bus; return the frames that the drive sends in response."""
-        if identifier == codec.SYNC_ID:
+        self._now_s = now_s
+        if identifier == (self.objects.value(codec.SYNC_OBJECT) & 0x7FF or codec.SYNC_ID):
             return self._on_sync()
         if identifier == codec.NMT_ID:
             return self._on_nmt(data)
+        if identifier & ~codec.REMOTE & 0x780 == codec.HEARTBEAT_ID:
+            return self._on_guard(identifier, data)
         if identifier == codec.SDO_REQUEST_ID + self.node_id:
             return self._on_sdo(data, now_s) + self.status(now_s)
         pdo = self._pdos.get(identifier)
@@ -101,13 +116,19 @@ class EmulatedCia402Drive:
 
     def advance(self, now_s: float) -> list[Frame]:
         """Advance to ``now_s``; return heartbeat, status and other frames due."""
-        frames: list[Frame] = []
+        self._now_s = now_s
+        frames = self._warnings()
+        if now_s > self._guarded_until_s:
+            self._guarded_until_s = math.inf
+            frames += self.overdue(codec.GUARD_LOST)
+        if now_s >= self._enable_due_s:
+            self._enable_due_s = math.inf
+            self._enter(DriveState.ENABLED)
         if self._axis.torque_off() and self.state in _POWERED:
             frames += self.fail(codec.TORQUE_OFF)
         if self._axis.astray() and self.state is not DriveState.FAULT:
             frames += self.fail(codec.FOLLOWING_ERROR)
-        if self.state is DriveState.ENABLED:
-            self._motion.advance(now_s)
+        self._motion.advance(now_s, self.state is DriveState.ENABLED)
         period_ms = self.objects.value(codec.HEARTBEAT_PRODUCER) & 0xFFFF
         if period_ms and now_s >= self._beat_due_s:
             self._beat_due_s = now_s + period_ms * 1e-3
@@ -119,6 +140,8 @@ class EmulatedCia402Drive:
         pdo = self._pdos.get(codec.TPDO2_ID + self.node_id)
         current = (self._statusword(), self._axis.limit())
         if pdo is None or (current == self._status_sent and now_s < self._status_due_s):
+            return []
+        if pdo.transmission <= _SYNCHRONOUS_MAX:
             return []
         self._status_sent = current
         timer_ms = self.objects.value(codec.STATUS_PDO.parameter, codec.PDO_EVENT_TIMER)
@@ -132,16 +155,33 @@ class EmulatedCia402Drive:
         self.state = DriveState.FAULT
         return self._emergency(code, _GENERIC_ERROR)
 
-    def overdue(self) -> list[Frame]:
-        """Quick stop because setpoints have ceased (CiA 402 abort connection option 3), with emergency message."""
+    def overdue(self, code: int = codec.RPDO_TIMEOUT) -> list[Frame]:
+        """React to a bench that is silent (CiA 402 abort connection option), with emergency message.
+
+        A drive without that option makes a quick stop, as with 3.
+        """
+        option = self.objects.value(codec.ABORT_CONNECTION_OPTION)
         if self.state is not DriveState.ENABLED:
             return []
-        self._enter(DriveState.QUICK_STOP_ACTIVE)
-        return self._emergency(codec.RPDO_TIMEOUT, _COMMUNICATION_ERROR)
+        if (codec.ABORT_CONNECTION_OPTION, 0) not in self.objects.entries or option == codec.ABORT_QUICK_STOPS:
+            self._enter(DriveState.QUICK_STOP_ACTIVE)
+        elif option == _ABORT_IS_A_FAULT:
+            return self.fail(code)
+        return self._emergency(code, _COMMUNICATION_ERROR)
+
+    def _warnings(self) -> list[Frame]:
+        """Return a burst of emergency messages that report no error of the drive, when one is due."""
+        if not self._habits.warnings_hz or not self.operational:
+            return []
+        if self._now_s < self._warned_s + 1.0 / self._habits.warnings_hz:
+            return []
+        self._warned_s = self._now_s
+        return [(codec.EMCY_ID + self.node_id, codec.encode_emergency(_WARNING, 0))] * _BURST
 
     def _emergency(self, code: int, register: int) -> list[Frame]:
-        self.objects[codec.ERROR_CODE].value = code
-        self.objects[codec.ERROR_REGISTER].value = register
+        self.objects.put(codec.ERROR_CODE, code)
+        self.objects.put(codec.ERROR_FIELD, code, 1)
+        self.objects.put(codec.ERROR_REGISTER, register)
         return [(codec.EMCY_ID + self.node_id, codec.encode_emergency(code, register))]
 
     def _control(self, now_s: float) -> None:
@@ -149,12 +189,19 @@ class EmulatedCia402Drive:
         rising, falling = word & ~self._controlword, self._controlword & ~word
         self._controlword = word
         if self.state is not DriveState.FAULT:
-            self._enter(_MOVES.get((self.state, command_of(word)), self.state))
+            following = _MOVES.get((self.state, command_of(word)), self.state)
+            if following is DriveState.ENABLED and self.state is not DriveState.ENABLED and self._habits.enable_s > 0.0:
+                self._enable_due_s = min(self._enable_due_s, now_s + self._habits.enable_s)
+                following = self.state
+            elif following is not self.state:
+                self._enable_due_s = math.inf
+            self._enter(following)
             if self.state is DriveState.ENABLED:
                 self._motion.control(word, rising, falling, now_s)
         elif rising & codec.FAULT_RESET:
-            self.objects[codec.ERROR_CODE].value = 0
-            self.objects[codec.ERROR_REGISTER].value = 0
+            if not self._habits.keeps_error:
+                self.objects.put(codec.ERROR_CODE, 0)
+            self.objects.put(codec.ERROR_REGISTER, 0)
             self._axis.clear_astray()
             self._enter(DriveState.SWITCH_ON_DISABLED)
 
@@ -172,27 +219,44 @@ class EmulatedCia402Drive:
 
     def _statusword(self) -> int:
         word = self.state.bits | _REMOTE | _VOLTAGE
-        is_homing = self._motion.mode == codec.HOMING
-        return word | self._motion.statusword() if is_homing or self.state is DriveState.ENABLED else word
+        return word | self._motion.statusword(self._now_s)
 
     def _refresh(self) -> None:
         """Update the measured objects."""
         objects = self.objects
-        objects[codec.POSITION_ACTUAL].value, objects[codec.VELOCITY_ACTUAL].value = self._axis.feedback()
-        objects[codec.STATUSWORD].value = self._statusword()
+        position, velocity = self._axis.feedback()
+        objects.put(codec.POSITION_ACTUAL, position)
+        objects.put(codec.VELOCITY_ACTUAL, velocity)
+        objects.put(codec.STATUSWORD, self._statusword())
         limit = self._axis.limit()
-        objects[codec.DIGITAL_INPUTS].value = codec.LOW_LIMIT * (limit < 0) | codec.HIGH_LIMIT * (limit > 0)
-        objects[codec.MODE_DISPLAY].value = objects[codec.MODE].value
+        objects.put(codec.DIGITAL_INPUTS, codec.LOW_LIMIT * (limit < 0) | codec.HIGH_LIMIT * (limit > 0))
+        objects.put(codec.MODE_DISPLAY, self._motion.mode)
 
     def _on_sync(self) -> list[Frame]:
         if self._fresh_target and self.state is DriveState.ENABLED:
-            self._motion.on_sync()
+            self._motion.on_sync(self._now_s)
         self._fresh_target = False
-        pdo = self._pdos.get(codec.TPDO1_ID + self.node_id)
-        if pdo is None or pdo.transmission != 1:
-            return []
+        self._syncs += 1
         self._refresh()
-        return [(pdo.identifier, pdo.pack())]
+        return [
+            (pdo.identifier, pdo.pack())
+            for identifier in (codec.TPDO1_ID, codec.TPDO2_ID)
+            if (pdo := self._pdos.get(identifier + self.node_id)) is not None
+            and 0 < pdo.transmission <= _SYNCHRONOUS_MAX
+            and self._syncs % pdo.transmission == 0
+        ]
+
+    def _on_guard(self, identifier: int, data: bytes) -> list[Frame]:
+        """Receive the heartbeat of the master, or its remote frame, which is answered."""
+        if identifier & codec.REMOTE and identifier & 0x7F == self.node_id:
+            life_ms = self.objects.value(codec.GUARD_TIME) * self.objects.value(codec.LIFE_TIME_FACTOR)
+            self._guarded_until_s = self._now_s + 1e-3 * life_ms if life_ms else math.inf
+            state, self._toggle = self._nmt_state | self._toggle, self._toggle ^ codec.TOGGLE
+            return [(codec.HEARTBEAT_ID + self.node_id, bytes((state,)))]
+        consumed = self.objects.value(codec.HEARTBEAT_CONSUMER, 1) & 0xFFFF_FFFF
+        if consumed and consumed >> 16 & 0x7F == identifier & 0x7F and data:
+            self._guarded_until_s = self._now_s + 1e-3 * (consumed & 0xFFFF)
+        return []
 
     def _on_nmt(self, data: bytes) -> list[Frame]:
         if len(data) != 2 or data[1] not in (0, self.node_id):
@@ -201,11 +265,13 @@ class EmulatedCia402Drive:
         self._nmt_state = _NMT_STATES.get(data[0], codec.PRE_OPERATIONAL)
         self._pdos = self.objects.map_pdos() if self.operational else {}
         self._status_sent = None
+        if not self.operational:
+            self._guarded_until_s = math.inf
         if data[0] not in (codec.NMT_RESET_NODE, codec.NMT_RESET_COMMUNICATION):
             if not self.operational and self.state is DriveState.ENABLED:
                 self._enter(DriveState.QUICK_STOP_ACTIVE)  # abort connection option 3
             return []
-        self.objects[codec.HEARTBEAT_PRODUCER].value = 0
+        self.objects.put(codec.HEARTBEAT_PRODUCER, 0)
         self._enter(DriveState.SWITCH_ON_DISABLED)
         return self.boot()
 
@@ -216,8 +282,9 @@ class EmulatedCia402Drive:
         reply, written = self.objects.serve(data, self.operational)
         if written == codec.CONTROLWORD:
             self._control(now_s)
-        elif written == codec.MODE and self.state is DriveState.ENABLED:
-            self._motion.begin()
+        elif written == codec.MODE:
+            self._motion.request(now_s)
+            self._motion.advance(now_s, self.state is DriveState.ENABLED)
         elif written in (codec.FOLLOWING_ERROR_WINDOW, codec.FOLLOWING_ERROR_TIME_OUT):
             counts = self.objects.value(codec.FOLLOWING_ERROR_WINDOW) & codec.UNLIMITED_WINDOW
             time_out_ms = self.objects.value(codec.FOLLOWING_ERROR_TIME_OUT) & 0xFFFF

@@ -20,6 +20,7 @@ STEP_S: Final = 0.004  # between two updates of the relay, as BenchClock.paced_s
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
 _ID_BYTES: Final = 1
+_BUSY: Final = 6  # exception code
 _LONGEST: Final = 254  # bytes after the length field
 
 PublishChain = Callable[[ChainState, float], None]
@@ -93,6 +94,7 @@ class IoEmulator(ModbusTcpEmulator):
         super().__init__(clock, clock.paced_s(STEP_S))
         self._publish = publish
         self._device_id = config.device_id
+        self._chance = stream(seed, "wire", "coupler")
         self.coupler = EmulatedCoupler(config, clock.paced_s(config.pump_timeout_s))
         self.faults = self.coupler.faults
         self.port = ModbusTcpPort(self._feed, FaultyWire(self.faults, stream(seed, "wire")), clock)
@@ -122,8 +124,11 @@ class IoEmulator(ModbusTcpEmulator):
             request, used = data[used + _HEADER.size : end], end
             if device_id == self._device_id and self.faults.value("link_down") is None:
                 now_s = self._clock.now_s()
-                response = self.coupler.respond(request, now_s)
+                is_busy = self._chance.random() < (self.faults.value("busy") or 0.0)
+                response = bytes((request[0] | 0x80, _BUSY)) if is_busy else self.coupler.respond(request, now_s)
                 self._publish(self.coupler.advance(now_s), now_s)
-                header = _HEADER.pack(transaction, 0, len(response) + _ID_BYTES, device_id)
-                responses.append(header + response)
+                is_odd = self._chance.random() < (self.faults.value("odd_frames") or 0.0)
+                unit = self.faults.value("other_unit")
+                unit_id = device_id if unit is None else round(unit)
+                responses.append(_HEADER.pack(transaction, is_odd, len(response) + _ID_BYTES, unit_id) + response)
         return used, responses

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 from serial.tools import list_ports
 
-from hil.config.rig import Rig
+from hil.config.rig import AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.host import ClockConfig
 from hil.core.clock import WallClock
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import AxisGroup, CountsPackets, Describes, PoseSource
 from hil.drivers.ptp import read_status
+from hil.drivers.serial_port import latency_timer_ms
 from hil.drivers.split_axes import RigDrivers, make_drivers
 from hil.drivers.wire_lock import locked_wires
 from hil.errors import BenchError, DeviceError, LinkTimeout
@@ -27,6 +28,9 @@ from hil.preflight.check import PreflightCheck
 
 _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01
+_MEASURED_S = 0.5
+_SETPOINT_S = 0.002
+_FEW = 0.8
 
 
 def hardware_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
@@ -76,7 +80,7 @@ def device_checks(drivers: RigDrivers, rig: Rig, clock: WallClock, enable_drives
     for name, group in drivers.axes.items():
         unit = "m" if rig.axis_groups[name].si_per_unit == 1.0 else "deg"
         if enable_drives:
-            checks.append(_axes(group, unit, clock))
+            checks += _axes(group, unit, clock, _promised_hz(rig.axis_groups[name], name))
         else:
             advice = "opened with --devices, which enables its drives: they hold their positions"
             checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
@@ -84,19 +88,48 @@ def device_checks(drivers: RigDrivers, rig: Rig, clock: WallClock, enable_drives
     return checks
 
 
-def _axes(group: AxisGroup, unit: str, clock: WallClock) -> PreflightCheck:
+def _promised_hz(table: AxisGroupTable, name: str) -> float:
+    """Return the setpoints per second that the wires of a group carry by their rates and frames."""
+    wires = [part.entry.setpoints_hz(part) for part in table.parts(name).values() if part.has_wires]
+    return min([table.exchanges_max_hz, *wires])
+
+
+def _axes(group: AxisGroup, unit: str, clock: WallClock, promised_hz: float) -> list[PreflightCheck]:
+    """Return the check of a group, and what its driver uses of the drives. promised_hz: by the wires of the rig."""
+    facts: list[str] = []
+
     def sample() -> str:
         feedback = group.read(clock.now_s())
         values = np.degrees(feedback.position) if unit == "deg" else feedback.position
         names = [name.rpartition(".")[2] for name in group.axis_names]
         positions = ", ".join(f"{name} {value:.3f}" for name, value in zip(names, values, strict=True))
-        return f"identified, at {positions} {unit}"
+        facts.extend(group.facts() if isinstance(group, Describes) else ())
+        return f"identified, at {positions} {unit}{_exchange_rate(group, clock, promised_hz)}"
 
     def release() -> None:
         group.stop(clock.now_s())
         group.close()
 
-    return _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
+    checked = _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
+    return [checked, *(PreflightCheck(f"drives of {group.name}", None, fact) for fact in facts)]
+
+
+def _exchange_rate(group: AxisGroup, clock: WallClock, promised_hz: float) -> str:
+    """Return the exchanges per second that this line reaches, measured with setpoints at the present position."""
+    if not isinstance(group, CountsPackets):
+        return ""
+    feedback = group.read(clock.now_s())
+    first, start_s = group.counters().get("exchanges", 0), clock.now_s()
+    while clock.now_s() < start_s + _MEASURED_S:
+        group.send(feedback.position, np.zeros_like(feedback.position), clock.now_s())
+        time.sleep(_SETPOINT_S)
+    count = group.counters().get("exchanges", 0) - first
+    measured_hz = count / (clock.now_s() - start_s)
+    text = f", {measured_hz:.0f} exchanges per second measured"
+    if measured_hz > _FEW * promised_hz:
+        return text
+    causes = "an adapter that collects bytes, a gateway, or a busy host"
+    return f"{text}, {promised_hz:.0f} by the rates of its wires: {causes}"
 
 
 def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
@@ -161,7 +194,9 @@ def _serial(key: str, address: str) -> PreflightCheck:
         group = _group_of(address)
         advice = f"sudo usermod -aG {group} $USER, then log in again"
         return PreflightCheck(name, False, f"{address}: no read and write permission for this user", advice)
-    return PreflightCheck(name, True, f"{address}: readable and writable")
+    timer_ms = latency_timer_ms(address)
+    timer = "" if timer_ms is None else f", its adapter collects bytes for {timer_ms} ms until a driver opens it"
+    return PreflightCheck(name, True, f"{address}: readable and writable{timer}")
 
 
 def _group_of(path: str) -> str:

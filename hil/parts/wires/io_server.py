@@ -134,7 +134,7 @@ def make(configuration: Message) -> IoServer:
     clock = clock_of(configuration)
     raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    made = make_drivers(rig, clock)
+    made = make_drivers(rig, clock, configuration["period_s"])
     memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), rig.held_numbers)
     return IoServer(made.axes, made.poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 

@@ -135,7 +135,7 @@ def wired_bench(
     with (
         timed or in_real_time(job, announce) as (clock, scheduling),
         (open_wires or _locked)(job, clock, announce, sinks) as wires,
-        IoProcesses(wires.rig, clock, wires.server) as io,
+        IoProcesses(wires.rig, clock, wires.server, job.scenario.value.step_s) as io,
         telemetry_ring(sinks) as telemetry,
     ):
         for line in compatibility.driver_warnings(job.rig.value):

@@ -29,7 +29,7 @@ def test_list_has_each_part_with_version_origin_commands_and_tables(capsys: pyte
     found = json.loads(capsys.readouterr().out)
     parts = {each["name"]: each for each in found["parts"]}
     assert (parts["vision"]["version"], parts["vision"]["origin"]) == (VERSION, "hil")
-    assert parts["vision"]["commands"] == ["vmu", "calibrate"]
+    assert parts["vision"]["commands"] == ["vmu", "targets", "calibrate"]
     assert all(set(each) == {"name", "version", "origin", "commands", "tables"} for each in found["parts"])
 
 

@@ -6,14 +6,21 @@ import math
 
 import pytest
 
+from hil.config.rig import Cia402
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.codec import DriveState
+from hil.drivers.turntable.cia402.units import Units
 from hil.errors import FaultKind
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
+from hil.parts.emulation.cia402_objects import ObjectDictionary
 
 COUNTS_PER_TURN = 10_000_000
+
+
+def emulated_drive(node_id, axis):
+    return EmulatedCia402Drive(node_id, axis, ObjectDictionary(Cia402(), node_id, 500))
 
 
 class Axis:
@@ -88,8 +95,7 @@ def test_feedback_of_wrong_length_is_reported():
 
 
 def test_quarter_turn_is_a_quarter_of_the_counts():
-    assert codec.counts_from_rad(math.pi / 2, COUNTS_PER_TURN) == 2_500_000
-    assert codec.rad_from_counts(2_500_000, COUNTS_PER_TURN) == pytest.approx(math.pi / 2, abs=1e-15)
+    assert Units(COUNTS_PER_TURN / math.tau, None).counts(math.pi / 2) == 2_500_000
 
 
 @pytest.mark.parametrize(
@@ -133,13 +139,13 @@ def test_fault_without_a_name_keeps_its_number():
     ],
 )
 def test_drive_serves_sdo_as_in_cia_301(request_frame, reply):
-    drive = EmulatedCia402Drive(1, Axis(), 0.5)
+    drive = emulated_drive(1, Axis())
     assert drive.on_frame(0x601, bytes.fromhex(request_frame), 0.0) == [(0x581, bytes.fromhex(reply))]
 
 
 def test_drive_is_enabled_step_by_step_and_only_then_follows():
     axis = Axis()
-    drive = EmulatedCia402Drive(1, axis, 0.5)
+    drive = emulated_drive(1, axis)
     states = []
     drive.on_frame(0x601, bytes.fromhex("2f 60 60 00 08 00 00 00"), 0.0)  # cyclic synchronous position
     for controlword in (0x0F, 0x06, 0x0F, 0x0F, 0x02, 0x0F, 0x00):
@@ -158,7 +164,7 @@ def test_drive_is_enabled_step_by_step_and_only_then_follows():
 
 
 def test_fault_is_reported_at_once_and_reset_on_the_rising_bit_only():
-    drive = EmulatedCia402Drive(2, Axis(), 0.5)
+    drive = emulated_drive(2, Axis())
     assert drive.fail(0x7305) == [(0x82, bytes.fromhex("05 73 01 00 00 00 00 00"))]
     drive.on_frame(0x602, bytes.fromhex("2b 40 60 00 80 00 00 00"), 0.0)
     assert drive.state is DriveState.SWITCH_ON_DISABLED
@@ -184,7 +190,7 @@ def homing_drive(known: Homing = Homing.NEEDED) -> tuple[EmulatedCia402Drive, Ax
     """Return an enabled drive in homing mode, and its axis."""
     axis = Axis()
     axis.known = known
-    drive = EmulatedCia402Drive(1, axis, 0.5)
+    drive = emulated_drive(1, axis)
     drive.on_frame(0x601, bytes.fromhex("2f 60 60 00 06 00 00 00"), 0.0)
     for controlword in (0x06, 0x07, 0x0F):
         drive.on_frame(0x601, bytes((0x2B, 0x40, 0x60, 0, controlword, 0, 0, 0)), 0.0)
@@ -219,7 +225,7 @@ def test_statusword_in_homing_mode_is_read(word, found):
 
 
 def test_heartbeat_comes_at_its_producer_time_and_shows_the_nmt_state():
-    drive = EmulatedCia402Drive(3, Axis(), 0.5)
+    drive = emulated_drive(3, Axis())
     assert drive.advance(0.0) == []
     drive.on_frame(0x603, bytes.fromhex("2b 17 10 00 32 00 00 00"), 0.0)  # 50 ms
     assert drive.advance(0.0) == [(0x703, b"\x7f")]  # pre-operational
@@ -252,7 +258,7 @@ def test_following_error_is_a_fault_by_name_and_its_reset_allows_torque_again():
 
 def test_window_and_time_out_of_the_following_error_are_objects():
     axis = Axis()
-    drive = EmulatedCia402Drive(1, axis, 0.5)
+    drive = emulated_drive(1, axis)
     window = drive.on_frame(0x601, bytes.fromhex("40 65 60 00 00 00 00 00"), 0.0)
     assert window == [(0x581, bytes.fromhex("43 65 60 00 e8 03 00 00"))]  # 1000 counts
     drive.on_frame(0x601, bytes.fromhex("23 65 60 00 10 27 00 00"), 0.0)
@@ -262,7 +268,7 @@ def test_window_and_time_out_of_the_following_error_are_objects():
 
 
 def test_string_longer_than_a_frame_comes_in_segments():
-    drive = EmulatedCia402Drive(1, Axis(), 0.5)
+    drive = emulated_drive(1, Axis())
     requests = [
         "40 0a 10 00 00 00 00 00",
         "60 00 00 00 00 00 00 00",
@@ -278,7 +284,7 @@ def test_string_longer_than_a_frame_comes_in_segments():
 def test_limit_switches_are_bits_of_the_digital_inputs():
     axis = Axis()
     axis.switch = -1
-    drive = EmulatedCia402Drive(1, axis, 0.5)
+    drive = emulated_drive(1, axis)
     ((_, reply),) = drive.on_frame(0x601, bytes.fromhex("40 fd 60 00 00 00 00 00"), 0.0)
     assert reply.hex(" ") == "43 fd 60 00 01 00 00 00"
     assert [codec.limit_of(bits) for bits in (0, 1, 2, 4)] == [0, -1, 1, 0]

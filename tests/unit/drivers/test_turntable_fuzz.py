@@ -23,8 +23,10 @@ from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
+from hil.drivers.turntable.cia402.units import Units
 from hil.errors import DeviceError, DriveFault
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
+from hil.parts.emulation.cia402_objects import ObjectDictionary
 
 FEW, MANY = 20_000, 1_000_000
 COUNTS = [FEW, pytest.param(MANY, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])]
@@ -133,6 +135,11 @@ def raised_by(function, argument) -> DeviceError | None:
 class Drive:
     """An SDO partner that reports no errors."""
 
+    has_velocity = True
+
+    def has_error(self) -> bool:
+        return False
+
     def statusword(self) -> int:
         return 0x1237
 
@@ -149,19 +156,23 @@ class Clock:
     def now_s(self) -> float:
         return self.t_s
 
+    host_s = now_s
+
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_mutated_pdo_emergency_and_heartbeat_frames(count):
     config, clock, dice = load_rig("emulated").value.turntable, Clock(), random.Random(13)
     node = Node("turntable.roll", 1, config, config.roll, Cia402(), clock)
     node.setup = Drive()
+    node.units = Units(Cia402().counts_per_turn / math.tau, Cia402().counts_per_turn / math.tau)
+    node._allowed_s = (0.4, 0.4, 0.4)
     goods = {
         node.on_feedback: codec.encode_setpoint(1000, 50),
         node.on_status: bytes.fromhex("37 12 00 00 00 00"),
         node.on_emergency: codec.encode_emergency(0, 0),
         node.on_heartbeat: b"\x05",
     }
-    farthest = 1000 + node._margin + 2 * node._rate_max * 0.01 * 4
+    farthest = 1000 + node.units.counts(math.radians(node._margin_deg) + 2 * node._rate_max * 0.01 * 4)
     for k in range(count):
         handler = dice.choice(list(goods))
         if k % 4 == 0:  # a good one, so that bursts are rare
@@ -185,7 +196,7 @@ class SpoiltPort:
 
     def __init__(self, dice: random.Random) -> None:
         axis = SimpleNamespace(window=lambda: (1000, 50), set_window=lambda *_: None)
-        self.drive = EmulatedCia402Drive(1, axis, 0.5)
+        self.drive = EmulatedCia402Drive(1, axis, ObjectDictionary(Cia402(), 1, 500))
         self.drive._refresh = lambda: None
         self.dice = dice
         self.replies: list[bytes] = []

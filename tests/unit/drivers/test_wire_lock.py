@@ -137,3 +137,48 @@ def test_address_of_a_wire_is_the_same_however_it_is_written(tmp_path: Path) -> 
     same = {wire_lock.normalised(Wire("a", "tcp", text)) for text in texts}
     assert len(same) == 1
     assert wire_lock.normalised(Wire("a", "tcp", "127.0.0.1:503")) not in same
+
+
+TWO_GROUPS = """
+extends = "emulated"
+name = "lab"
+kind = "hardware"
+rails.modbus.x.port = 502
+rails.modbus.y = {{ port = 503 }}
+rails.modbus.z = {{ port = 504 }}
+vmu.rs422.port = "/dev/ttyS7"
+io = {{ port = 505 }}
+[turntable.cia402]
+interface = "{interface}"
+channel = "can0"
+[rotary_axes.sun]
+driver = "cia402"
+servo = {{ gain_per_s = 30.0, lag_s = 0.006 }}
+place_deg = [3.0]
+roll = {{ travel_deg = [-10.0, 10.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }}
+[rotary_axes.sun.cia402]
+interface = "{interface}"
+channel = "can0"
+node_ids = [{node}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("interface", "node", "text"),
+    [
+        ("socketcan", 7, ""),
+        ("socketcan", 2, r"rotary_axes\.sun\.cia402: node id 2 on can0 is also one of turntable"),
+        ("socketcan", 127, r"rotary_axes\.sun\.cia402: node id 127 on can0 is also one of turntable"),
+        ("serial", 7, r"rotary_axes\.sun\.cia402\.channel: can0 is also turntable\.cia402\.channel, allowed: a port"),
+    ],
+)
+def test_groups_share_a_bus_with_node_ids_of_their_own_and_no_serial_port(
+    tmp_path: Path, interface: str, node: int, text: str
+) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(TWO_GROUPS.format(interface=interface, node=node))
+    if not text:
+        load_rig(str(file))
+        return
+    with pytest.raises(BadInput, match=text):
+        load_rig(str(file))

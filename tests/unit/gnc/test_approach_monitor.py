@@ -14,11 +14,6 @@ from hil.gnc import approach_monitor
 from hil.gnc.approach_monitor import (
     CLOSING_RATE,
     CORRIDOR,
-    ENCODERS,
-    FIRING,
-    GO,
-    GO_CHECK,
-    LEVEL,
     NOT_ABORTED,
     ORDERED,
     alert_limits,
@@ -27,6 +22,7 @@ from hil.gnc.approach_monitor import (
     corridor_margin,
     level_share,
 )
+from hil.gnc.docking_go import ENCODERS, FIRING, GO, GO_CHECK, HOLD, LEVEL, SUM
 from hil.gnc.reactions import REACTION_STATE
 from hil.params import gnc as gnc_params
 
@@ -235,15 +231,49 @@ def test_go_requires_a_level_within_table_iii_and_the_encoders(
         assert go.value > go.limit > 0.0
 
 
-@pytest.mark.parametrize(("firing_degps", "lacks"), [(0.099, GO), (0.101, FIRING)])
-def test_go_requires_smallest_firings_that_leave_room_for_the_rate(
-    params: np.record, firing_degps: float, lacks: int
+@pytest.mark.parametrize(
+    ("field", "component", "value", "lacks", "axis"),
+    [
+        ("firing", 5, math.radians(0.099), GO, 0),
+        ("firing", 5, math.radians(0.101), FIRING, 11),
+        ("firing", 1, 0.0201, FIRING, 7),
+        ("hold", 0, 0.0249, GO, 0),
+        ("hold", 2, 0.016, HOLD, 2),
+        ("hold", 4, math.radians(0.6), HOLD, 4),
+    ],
+)
+def test_go_requires_firings_and_a_hold_within_table_iii(
+    params: np.record, field: str, component: int, value: float, lacks: int, axis: int
 ) -> None:
     watch, navigation, go = new(SUPERVISION), seen((0.4, 0.0, 0.0)), new(GO_CHECK)
-    go.firing[2] = math.radians(firing_degps)
+    go.level_m, go[field][component] = 0.005, value
     check(params, 1.0, navigation, line(), 0, 1, watch, go)
     assert math.isnan(watch.ready_since_s) == (lacks != GO)
-    assert (go.lacks, go.axis if lacks else 0) == (lacks, 11 if lacks else 0)
+    assert (go.lacks, go.axis if lacks else 0) == (lacks, axis)
+
+
+def test_go_that_is_given_stays_without_the_promise_and_ends_when_deviation_and_level_exceed_table_iii(
+    params: np.record,
+) -> None:
+    watch, navigation, go = new(SUPERVISION), seen((0.4, 0.0, 0.0)), new(GO_CHECK)
+    watch.ready_since_s = np.nan
+    for t_s in (1.0, 1.0 + params.dwell_s):
+        check(params, t_s, navigation, line(), 0, 1, watch, go)
+    assert go.given == 1
+    go.hold[1] = 0.1
+    check(params, 7.0, navigation, line(), 0, 1, watch, go)
+    assert (go.given, watch.ready_since_s) == (1, 1.0)
+    check(params, 7.02, seen((0.4, 0.0205, 0.0)), line(), 0, 1, watch, go)
+    assert (go.given, math.isnan(watch.ready_since_s)) == (0, True)
+    check(params, 7.04, navigation, line(), 0, 1, watch, go)
+    assert go.lacks == HOLD
+
+
+def test_go_ends_with_a_sum_of_the_innovations_beyond_its_limit(params: np.record) -> None:
+    watch, go = new(SUPERVISION), new(GO_CHECK)
+    go.sum, go.sum_of, go.sum_limit = 26.0, 7, 25.0
+    check(params, 1.0, seen((0.4, 0.0, 0.0)), line(), 0, 1, watch, go)
+    assert (go.lacks, go.axis, math.isnan(watch.ready_since_s)) == (SUM, 7, True)
 
 
 @pytest.mark.parametrize(("r", "outside"), [((5.0, 0.1, 0.0), 0), ((5.8, 0.0, 0.0), 1), ((5.0, 0.5, 0.0), 1)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
 from hil.gnc import control as control_module
@@ -391,3 +392,29 @@ def test_large_smallest_firing_waits_until_the_rate_has_grown_against_it(scheme_
     assert not any(demands[:first])
     assert angles[first] == pytest.approx(0.75 * 0.5, abs=0.002)  # of the tolerance, where docking is no go
     assert np.abs(rates).max() < limit
+
+
+def test_error_beyond_a_wide_dead_band_is_worked_off_whatever_is_pending() -> None:
+    """Firings of 4 mm/s have a dead band in which the correction rate alone would never fire."""
+    heavy = (
+        "chaser.mass_kg=20000.0", "chaser.inertia_kg_m2=[[8e4,0.0,0.0],[0.0,1e5,0.0],[0.0,0.0,9.5e4]]",
+        "chaser.thrusters.force_n=400.0", "chaser.thrusters.minimum_on_s=0.1",
+    )  # fmt: skip
+    scenario = load_scenario("scheme-1", heavy).value
+    params = gnc_params.control(scenario, gnc_params.allocation(scenario.chaser)[1])
+    command, feed = new(COMMAND), new(FEED_FORWARD)
+    feed.pulse_s = params.pulse_s
+    command.owed[1] = 0.49 * params.acceleration[1] * params.pulse_s
+    args = (1, -0.06, -0.0007, 0.001, 0.0001, 0.0, 0.0, params.acceleration[1], command)
+    control_module.update_axis(params, feed, *args)
+    assert command.force[1] == 1
+
+
+def test_held_error_is_that_of_a_coast_or_of_the_dead_band(scheme_1: Scenario) -> None:
+    params = gnc_params.control(scheme_1, gnc_params.allocation(scheme_1.chaser)[1])
+    params.drift[1], params.go_s, pulse = 0.0, 30.0, 2e-4
+    coasts = control_module.held_error(params, 1, 1e-3, 1e-5, 1e-3, 1e-4, 0.0, pulse)
+    assert coasts == pytest.approx(1e-3 + 30.0 * 1e-5)
+    _, _, _, band = control_module.rule_of(params, 1, 1e-3, 1e-4, pulse)
+    fires = control_module.held_error(params, 1, 1e-3, 1e-3, 1e-3, 1e-4, 0.0, pulse)
+    assert fires == pytest.approx(band + pulse * params.period[1] * params.dt_s)

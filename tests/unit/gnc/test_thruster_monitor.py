@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.messages import IMU, MAX_THRUSTERS, NAVIGATION, new
@@ -72,6 +74,56 @@ def test_healthy_chaser_is_healthy(chaser: MonitoredChaser) -> None:
     for _ in range(5000):
         chaser.cycle({})
         assert chaser.health == 0
+
+
+GYRO_DEGPS, ACCELEROMETER_MPS2 = 1e-3, 2e-3
+QUANTA = (f"gnc.akf.gyro_quantum_degps={GYRO_DEGPS}", f"gnc.pkf.accelerometer_quantum_mps2={ACCELEROMETER_MPS2}")
+
+
+class CoarseChaser(MonitoredChaser):
+    """A chaser whose IMU reads whole quanta; the remainder comes with the next readings."""
+
+    remainder = np.zeros(6)
+
+    def watch(self) -> None:
+        sample, quantum = self.samples[0], np.repeat([ACCELEROMETER_MPS2, math.radians(GYRO_DEGPS)], 3)
+        exact = np.concatenate([sample.force_C, sample.rate_C]) + self.remainder
+        read = quantum * np.floor(exact / quantum + 0.5)
+        self.remainder = exact - read
+        sample.force_C, sample.rate_C = read[:3], read[3:]
+        super().watch()
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_readings_of_a_coarse_imu_repeat_and_are_sound_with_its_resolution(
+    rng: np.random.Generator, told: bool
+) -> None:
+    scenario = load_scenario("scheme-1", QUANTA if told else ()).value
+    chaser = CoarseChaser(gnc_params.thruster_monitor(scenario), rng)
+    for cycle in range(3000):
+        if cycle % 200 < 100:
+            chaser._on[:] = 0
+        chaser.cycle({})
+    assert (chaser.state.imu_revoked + chaser.state.imu_suspect == 0) == told
+    assert not told or chaser.health == 0
+
+
+@pytest.mark.parametrize("sensor", ["force_C", "rate_C"])
+def test_coarse_imu_that_is_stuck_is_suspect_once_thrusters_should_change_it(
+    rng: np.random.Generator, sensor: str
+) -> None:
+    chaser = CoarseChaser(gnc_params.thruster_monitor(load_scenario("scheme-1", QUANTA).value), rng)
+    for _ in range(300):
+        chaser.cycle({})
+    stuck = chaser.samples[0][sensor].copy()
+    watch = thruster_monitor.watch
+    for _ in range(400):
+        chaser.cycle({})
+        chaser.samples[0][sensor] = stuck
+        out = new(NAVIGATION)
+        bias = np.concatenate([np.zeros(3), chaser.bias_sigma])
+        watch(chaser.params, chaser.state, chaser.samples, chaser._on, bias, False, out)
+    assert chaser.state.imu_suspect == 1
 
 
 def test_bias_of_the_accelerometer_that_is_not_known_yet_is_no_fault(chaser: MonitoredChaser) -> None:

@@ -21,7 +21,7 @@ from tests.support.two_body import AXIS_M, GM, ORBIT_S, N, two_body
 START = np.array([5.0, -0.3, 0.3, 0.01, -0.02, 0.005])
 
 
-@pytest.mark.parametrize("e", [0.0, 0.005, 0.03, 0.09])
+@pytest.mark.parametrize("e", [0.0, 0.005, 0.03, 0.09, 0.4])
 @pytest.mark.parametrize("t_s", [400.0, ORBIT_S])
 def test_transition_is_that_of_two_bodies_close_together(e: float, t_s: float) -> None:
     found = elliptic_motion.transition(N, e, 1.1, t_s) @ START
@@ -34,12 +34,12 @@ def test_transition_on_a_circle_is_hills() -> None:
     np.testing.assert_allclose(elliptic_motion.transition(N, 0.0, 0.7, 1000.0), hill.transition(N, 1000.0), atol=1e-9)
 
 
-@pytest.mark.parametrize("e", [0.0, 0.005, 0.03, 0.0999])
+@pytest.mark.parametrize("e", [0.0, 0.005, 0.03, 0.0999, 0.5, 0.7])
 def test_true_anomaly_solves_keplers_equation_over_many_turns(e: float) -> None:
     for m in np.linspace(-20.0, 20.0, 81):
         eccentric = brentq(lambda x, m=m: x - e * math.sin(x) - m, m - 1.0, m + 1.0, xtol=1e-14)
         nu = true_anomaly(e, m)
-        assert abs(nu - m) < 0.3  # continuous
+        assert abs(nu - m) < max(0.3, 2.6 * e)  # continuous
         assert math.cos(nu) == pytest.approx((math.cos(eccentric) - e) / (1.0 - e * math.cos(eccentric)), abs=1e-12)
         assert math.remainder(mean_anomaly(e, nu) - m, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
 

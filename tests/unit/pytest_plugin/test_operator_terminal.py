@@ -29,9 +29,10 @@ def answer(descriptor: int, *lines: str) -> None:
 
     def typed() -> None:
         for line in lines:
-            shown = re.findall(r"\[y (\d\d) / n\]", os.read(descriptor, 1000).decode())
-            time.sleep(0.05)
-            os.write(descriptor, f"{line.replace('#', shown[-1])}\n".encode())
+            shown = ""
+            while not (digits := re.search(r"\[y (\d\d) / n\] $", shown)):
+                shown += os.read(descriptor, 1000).decode()
+            os.write(descriptor, f"{line.replace('#', digits[1])}\n".encode())
             time.sleep(0.05)
 
     threading.Thread(target=typed, daemon=True).start()

@@ -39,6 +39,7 @@ class AsciiLink:
         self.axis_names = full_names(device, GIMBAL_NAMES)
         loaded = load_protocol(line.protocol)
         self._protocol: Protocol = loaded.value
+        self._bits = self._protocol.bits
         self._ascii = AsciiProtocol(self._protocol)
         self._identity = line.identity
         self._clock = clock
@@ -49,6 +50,7 @@ class AsciiLink:
             axis = GIMBAL_NAMES[self._needs_home.index(True)]
             text = f'"incremental": protocol {self._protocol.name} ({loaded.source}) has no requests.home'
             raise BadInput.single("rig", f"turntable.{axis}.encoder", text)
+        self._unanswered, self._unanswered_axis = self._ascii.lines["status"][0], DEVICE
         self._reset()
 
     def _reset(self) -> None:
@@ -183,6 +185,7 @@ class AsciiLink:
             for axis in line.axes:
                 reply = self._request(line, axis, values, reply_s)
                 if reply is None:
+                    self._unanswered, self._unanswered_axis = line, axis
                     return None
                 times.append(reply[0])
                 report |= reply[1]
@@ -195,8 +198,9 @@ class AsciiLink:
             reply = self._perform(action, {}, reply_s)
             if reply is not None:
                 return reply
-        text = self._ascii.lines[action][0].send.text
-        raise LinkTimeout(self.device, f"does not answer {text!r} within {_REPLY_WALL_S:g} s")
+        broken = f"; {self._wire.broken}" if self._wire.broken else ""
+        text = f"does not answer {self._unanswered.send.text!r} within {_REPLY_WALL_S:g} s{broken}"
+        raise LinkTimeout(self._name(self._unanswered_axis), text)
 
     def _check_identity(self, report: FieldValues) -> None:
         for name, expected in self._identity.items():
@@ -207,7 +211,7 @@ class AsciiLink:
                 raise ProtocolError(self.device, f"{name} is {reported!r}, expected {expected!r}")
 
     def _has(self, report: FieldValues, axis: int, name: str) -> bool:
-        bit = getattr(self._protocol.status, name)
+        bit = getattr(self._bits, name)
         return bit is not None and bool(int(report["status", axis]) & bit)
 
     def _is_moving(self, report: FieldValues) -> bool:
@@ -243,7 +247,7 @@ class AsciiLink:
         return (position - self._previous[1]) / (sampled_s - self._previous[0])
 
     def _homing_of(self, report: FieldValues, axis: int) -> Homing:
-        bits = self._protocol.status
+        bits = self._bits
         if not self._needs_home[axis]:
             return Homing.DONE
         if self._has(report, axis, "homing"):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from hil.config.load import load_protocol
 from hil.config.rig import AsciiTurntableLine, Turntable
 from hil.config.tables.driver_registry import DriverEntry, WireKey
+from hil.drivers.tcp_port import is_tcp
 
 _BITS_PER_BYTE: Final = 10
 
@@ -20,6 +22,8 @@ def _setpoints_hz(turntable: Turntable) -> float:
     from hil.drivers.turntable.ascii.protocol import AsciiProtocol  # on use: it is large
 
     line = turntable.ascii or AsciiTurntableLine()
+    if is_tcp(line.port or ""):
+        return math.inf
     return line.baud / (_BITS_PER_BYTE * AsciiProtocol(load_protocol(line.protocol).value).exchange_bytes())
 
 

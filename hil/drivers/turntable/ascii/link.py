@@ -10,6 +10,7 @@ import serial
 
 from hil.core.clock import BenchClock
 from hil.drivers.serial_port import open_serial
+from hil.drivers.tcp_port import TcpPort, is_tcp
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import AsciiCommand, AsciiProtocol, Key, Value
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
@@ -40,7 +41,7 @@ class AsciiTransport:
         self._baud = baud
         self._timeout_s = timeout_s
         self._clock = clock
-        self._port: serial.Serial | None = None
+        self._port: serial.Serial | TcpPort | None = None
         self._sequence = 0
         self.reset()
 
@@ -50,6 +51,9 @@ class AsciiTransport:
         self._lines: deque[bytes] = deque()
         self._answered: deque[int] = deque(maxlen=_HISTORY)
         self._broken_in_a_row = 0
+        self._echo = b""
+        self.broken = ""
+        """Last reply that could not be read."""
         self.restart_timeout()
         self.counts = dict.fromkeys(COUNTERS, 0)
 
@@ -65,9 +69,12 @@ class AsciiTransport:
         """Open the port. Raises LinkLost."""
         wall_s = 0.5 * REPLY_S / self._clock.speed
         try:
-            self._port = open_serial(
-                self._clock, self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True
-            )
+            if is_tcp(self._path):
+                self._port = TcpPort(self._clock, self._path, timeout=wall_s)
+            else:
+                self._port = open_serial(
+                    self._clock, self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True
+                )
         except (OSError, ValueError) as error:
             raise LinkLost(self.device, f"cannot open {self._path}: {error}") from error
         self.reset()
@@ -109,6 +116,9 @@ class AsciiTransport:
         self._discard_pending()
         sent = self.send(line, axis, values)
         arrived_s = self._clock.now_s() + len(sent) * _BITS_PER_BYTE / self._baud
+        if line.reply is None:
+            return arrived_s, {}
+        self._echo = sent.removesuffix(self.protocol.requests.end) if self.protocol.protocol.line.echo else b""
         end_s = arrived_s + reply_s
         last_s = end_s if self.protocol.has_sequence or not patient else end_s + _LATE_REPLY_S
         while self._clock.now_s() < last_s:
@@ -128,12 +138,16 @@ class AsciiTransport:
         return None
 
     def _hint(self) -> str:
-        """Return the counters, for diagnosis."""
-        counted = ", ".join(f"{name} {count}" for name, count in self.counts.items() if count)
-        return f" (since open: {counted})" if counted else ""
+        """Return the last broken reply and the counters, for diagnosis."""
+        counted = [f"{name} {count}" for name, count in self.counts.items() if count]
+        return f" (since open: {', '.join(counted)})" + (f"; {self.broken}" if self.broken else "") if counted else ""
 
     def _accept(self, text: bytes, line: AsciiCommand, axis: int) -> dict[Key, Value] | None:
         """Return the values of a reply, None for one to another request."""
+        if self._echo and self._echo in text:  # with echoes of requests without a reply before it
+            text = text.rpartition(self._echo)[2].lstrip(self.protocol.requests.end)
+            if not text:
+                return None
         sequence, body = self.protocol.replies.decode(text)
         if self.protocol.has_sequence and sequence != self._sequence:
             self.counts["duplicates" if sequence in self._answered else "late"] += 1
@@ -155,6 +169,7 @@ class AsciiTransport:
 
     def _count_broken(self, error: BrokenLine) -> None:
         self.counts["protocol_errors"] += 1
+        self.broken = f"last one: {error}"
         self._broken_in_a_row += 1
         if self._broken_in_a_row >= BURST:
             raise ProtocolError(self.device, f"{BURST} broken replies in a row: {error}") from error

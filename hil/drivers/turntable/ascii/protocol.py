@@ -40,6 +40,7 @@ class FieldFormat:
         fields = protocol.fields
         self._decimals = 0
         self._whole: NonNegativeInt | None = None
+        self._words: dict[str, int] = {}
         self.scale = 1.0
         if name in ("position", "rate"):
             angle = fields.position if name == "position" else fields.rate
@@ -47,11 +48,17 @@ class FieldFormat:
             unit = angle.unit.removesuffix("ps")
             turn = protocol.counts_per_turn or 1
             self.scale = math.tau / turn if unit == "counts" else math.radians(_DEGREES[unit])
-            self.pattern = r"[+-]?\d{1,12}" + (r"(?:\.\d{1,12})?" if angle.decimals else "")
+            self.pattern = r" *[+-]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][+-]?\d{1,3})? *"
+        elif name == "status" and protocol.status_words:
+            self._words = {
+                word: sum(getattr(protocol.bits, meaning) for meaning in dict.fromkeys(meanings))
+                for word, meanings in protocol.status_words.items()
+            }
+            self.pattern = " *(?:" + "|".join(map(re.escape, sorted(self._words, key=len, reverse=True))) + ") *"
         elif name in ("status", "fault", "error"):
             self._whole = getattr(fields, name)
             length = f"{{{self._whole.digits}}}" if self._whole.digits else "{1,10}"
-            self.pattern = ("[0-9A-F]" if self._whole.base == 16 else r"\d") + length
+            self.pattern = " *" + ("[0-9A-Fa-f]" if self._whole.base == 16 else r"[+-]?\d") + length + " *"
         else:
             self.pattern = r"[ -~]*?" if name == "ignore" else r"[!-~]+?"
         self._is_number = name in ("position", "rate")
@@ -59,16 +66,24 @@ class FieldFormat:
     def write(self, value: Value) -> str:
         if self._is_number:
             return f"{float(value) / self.scale:.{self._decimals}f}"
+        if self._words:  # the one with most of the bits, and no other
+            return max((word for word in self._words if not self._words[word] & ~int(value)), key=self._bits_of)
         if self._whole is not None:
             form = "X" if self._whole.base == 16 else "d"
             return f"{int(value):0{self._whole.digits or 1}{form}}"
         return str(value)
 
+    def _bits_of(self, word: str) -> int:
+        return self._words[word].bit_count()
+
     def read(self, text: str) -> Value:
+        """Return the value; a whole number with a sign is the one with the same 32 bits."""
         if self._is_number:
             return float(text) * self.scale
+        if self._words:
+            return self._words[text.strip()]
         if self._whole is not None:
-            return int(text, self._whole.base)
+            return int(text, self._whole.base) & 0xFFFF_FFFF
         return text
 
 
@@ -129,7 +144,7 @@ class AsciiCommand:
         self.action = action
         self.each_axis = step.each_axis
         self.send = MessageTemplate(protocol, step.send)
-        self.reply = MessageTemplate(protocol, protocol.replies[step.reply])
+        self.reply = MessageTemplate(protocol, protocol.replies[step.reply]) if step.reply else None
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -174,8 +189,8 @@ class AsciiProtocol:
         raise CommandRefused(f"{sequence:X}")
 
     def reply(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
-        """Return the reply to a request."""
-        return self.replies.encode(sequence, line.reply.write(values, axis))
+        """Return the reply to a request, b"" if the command set has none."""
+        return b"" if line.reply is None else self.replies.encode(sequence, line.reply.write(values, axis))
 
     def exchange_bytes(self) -> int:
         """Return the bytes of an exchange of setpoints and feedback, both directions, with all numbers zero."""
@@ -198,7 +213,7 @@ class AsciiProtocol:
 
     def decode_reply(self, body: str, line: AsciiCommand, axis: int) -> FieldValues:
         """Return the values in a reply's body. Raises BrokenLine, or CommandRefused for an error reply."""
-        decoded = line.reply.read(body, axis)
+        decoded = line.reply.read(body, axis) if line.reply is not None else None
         if decoded is not None:
             return decoded[1]
         refusal = self._error.read(body, DEVICE) if self._error else None

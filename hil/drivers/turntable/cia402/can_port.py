@@ -6,15 +6,16 @@ u32 (flags in bits 29 to 31), data, 0xBB. There is no checksum: the receiver bou
 
 from __future__ import annotations
 
+import errno
 import select
 import struct
 from collections import deque
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 
 from hil.core.clock import BenchClock
-from hil.drivers.serial_port import open_serial, wait_readable
+from hil.drivers.serial_port import open_serial, set_low_latency, wait_readable
 from hil.errors import LinkLost, ProtocolError
 
 Frame = tuple[int, bytes]
@@ -25,7 +26,11 @@ _END = 0xBB
 _LONGEST_DATA = 8
 _HIGHEST_IDENTIFIER = 0x7FF
 _FLAGS = 0xE000_0000
+REMOTE = 0x4000_0000
+"""Flag of the identifier of a remote frame, which has no data."""
 _WRITE_WALL_S = 0.3
+_FULL_WALL_S = 0.02  # longest wait for room in the queue of an interface
+_RETRY_WALL_S = 0.0005
 
 
 def encode_serial(frame: Frame) -> bytes:
@@ -37,11 +42,12 @@ def encode_serial(frame: Frame) -> bytes:
 class SerialFrames:
     """Splits the bytes of the serial wire into frames; other bytes are skipped and counted.
 
-    Frames with flags (extended, remote, error) are discarded.
+    Frames with flags (extended, remote, error) are discarded, unless ``takes_remote``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, takes_remote: bool = False) -> None:
         self._buffer = bytearray()
+        self._discarded = _FLAGS & ~REMOTE if takes_remote else _FLAGS
         self.skipped_bytes = 0
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -57,7 +63,7 @@ class SerialFrames:
             if is_head and len(buffer) <= end:
                 break
             if is_head and buffer[end] == _END:
-                if not identifier & _FLAGS:
+                if not identifier & self._discarded:
                     frames.append((identifier, bytes(buffer[_HEAD.size : end])))
                 del buffer[: end + 1]
             else:
@@ -94,7 +100,7 @@ class SerialCan:
 
 
 class CanLine(Protocol):
-    """Settings of a CAN bus: interface of python-can, channel, bit rate, baud rate of a serial adapter."""
+    """Settings of a CAN bus: interface of python-can, channel, bit rate, baud rate of a serial adapter, arguments."""
 
     @property
     def interface(self) -> str: ...
@@ -108,6 +114,9 @@ class CanLine(Protocol):
     @property
     def baud(self) -> int: ...
 
+    @property
+    def arguments(self) -> dict[str, Any]: ...
+
 
 class CanPort:
     """One node on a bus. Frames have 11-bit identifiers and at most eight bytes.
@@ -118,6 +127,7 @@ class CanPort:
 
     def __init__(self, device: str, config: CanLine, clock: BenchClock) -> None:
         self.device = device
+        self._clock = clock
         self._serial: SerialCan | None = None
         self._bus: can.BusABC | None = None
         self._descriptor = -1
@@ -125,10 +135,16 @@ class CanPort:
             if config.interface == "serial":
                 self._serial = SerialCan(str(config.channel), config.baud, clock)
             else:
-                self._bus = can.Bus(channel=config.channel, interface=config.interface, bitrate=config.bitrate)
+                more = {"tty_baudrate": config.baud} if config.interface == "slcan" else {}
+                self._bus = can.Bus(
+                    channel=config.channel,
+                    interface=config.interface,
+                    **{"bitrate": config.bitrate, **more, **config.arguments},
+                )
         except (can.CanError, OSError, TypeError, ValueError) as error:
             raise LinkLost(device, f"cannot open CAN {config.interface} {config.channel}: {error}") from error
         if self._bus is not None:
+            set_low_latency(getattr(self._bus, "serialPortOrig", None))  # of slcan
             try:
                 self._descriptor = self._bus.fileno()
             except NotImplementedError:
@@ -146,9 +162,30 @@ class CanPort:
                 self._serial.send(*frames)
             elif self._bus is not None:
                 for identifier, data in frames:
-                    self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+                    self._send(self._bus, identifier, data)
         except (can.CanError, OSError) as error:
             raise LinkLost(self.device, f"CAN send failed: {error}") from error
+
+    def _send(self, bus: can.BusABC, identifier: int, data: bytes) -> None:
+        """Send one frame; wait while the queue of the interface is full."""
+        is_remote = bool(identifier & REMOTE)
+        message = can.Message(
+            arbitration_id=identifier & ~REMOTE,
+            data=None if is_remote else data,
+            dlc=1 if is_remote else None,
+            is_extended_id=False,
+            is_remote_frame=is_remote,
+        )
+        end_s = self._clock.host_s() + _FULL_WALL_S
+        while True:
+            try:
+                bus.send(message)
+            except (can.CanError, OSError) as error:
+                if not _is_full(error) or self._clock.host_s() > end_s:
+                    raise
+                self._clock.sleep(_RETRY_WALL_S)
+            else:
+                return
 
     def receive(self, wall_s: float) -> tuple[int, bytes] | None:
         """Return identifier and data of the next frame, None if none was received within ``wall_s``."""
@@ -177,3 +214,13 @@ class CanPort:
             self._serial.close()
         if self._bus is not None:
             self._bus.shutdown()
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Return whether the queue of an interface is full: Linux reports that as an error, not by its socket."""
+    while error is not None:
+        number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+        if number in (errno.ENOBUFS, errno.EAGAIN):
+            return True
+        error = error.__cause__
+    return False

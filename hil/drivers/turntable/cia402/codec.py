@@ -6,9 +6,8 @@ state machine, error codes). All numbers on the wire are little-endian.
 
 from __future__ import annotations
 
-import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
@@ -32,9 +31,18 @@ NMT_PRE_OPERATIONAL: Final = 0x80
 NMT_RESET_NODE: Final = 0x81
 NMT_RESET_COMMUNICATION: Final = 0x82
 
+REMOTE: Final = 1 << 30
+"""Flag of an identifier of this package: a remote frame, which has no data."""
+
 DEVICE_TYPE: Final = 0x1000
 ERROR_REGISTER: Final = 0x1001
 DEVICE_PROFILE: Final = 402  # low half of the device type
+ERROR_FIELD: Final = 0x1003  # 1: the newest error, its code in the low half
+SYNC_OBJECT: Final = 0x1005  # identifier of SYNC
+CYCLE_PERIOD: Final = 0x1006  # between two SYNC, us
+GUARD_TIME: Final = 0x100C  # ms; times LIFE_TIME_FACTOR: the node expects a remote frame of its master
+LIFE_TIME_FACTOR: Final = 0x100D
+HEARTBEAT_CONSUMER: Final = 0x1016  # 1: node id << 16 | time, ms
 FIRMWARE: Final = 0x100A
 HEARTBEAT_PRODUCER: Final = 0x1017  # ms
 IDENTITY: Final = 0x1018  # 1 vendor, 2 product, 3 revision
@@ -49,10 +57,12 @@ MODE: Final = 0x6060
 MODE_DISPLAY: Final = 0x6061
 PROFILE_POSITION: Final = 1
 HOMING: Final = 6
+INTERPOLATED_POSITION: Final = 7
 CYCLIC_SYNCHRONOUS_POSITION: Final = 8
 MODE_NAMES: Final = {
     PROFILE_POSITION: "profile position",
     HOMING: "homing",
+    INTERPOLATED_POSITION: "interpolated position",
     CYCLIC_SYNCHRONOUS_POSITION: "cyclic synchronous position",
 }
 POSITION_ACTUAL: Final = 0x6064
@@ -67,10 +77,23 @@ PROFILE_DECELERATION: Final = 0x6084
 HOMING_METHOD: Final = 0x6098
 HOMING_SPEEDS: Final = 0x6099  # 1 towards the switch, 2 towards its edge
 HOMING_ACCELERATION: Final = 0x609A
+HOMING_OBJECTS: Final = ((HOMING_METHOD, 0), (HOMING_SPEEDS, 1), (HOMING_SPEEDS, 2))
+ENCODER_RESOLUTION: Final = 0x608F  # 1 increments per 2 revolutions of the motor
+GEAR_RATIO: Final = 0x6091  # 1 revolutions of the motor per 2 of the shaft
+FEED_CONSTANT: Final = 0x6092  # 1 position units per 2 revolutions of the shaft
+POSITION_FACTOR: Final = 0x6093  # 1 increments per 2 position units
+POSITION_UNIT: Final = 0x60A8
+VELOCITY_UNIT: Final = 0x60A9
 VELOCITY_OFFSET: Final = 0x60B1
+INTERPOLATION_SUBMODE: Final = 0x60C0  # 0: linear
+INTERPOLATION_DATA: Final = 0x60C1
+INTERPOLATION_PERIOD: Final = 0x60C2  # 1 value, 2 exponent of 10, s
+BUFFER: Final = 0x60C4  # 6: 1 allows access to the buffer
 DIGITAL_INPUTS: Final = 0x60FD
+SUPPORTED_MODES: Final = (0x6502, 0)  # bit n - 1: mode n
 
 RPDO_TIMEOUT: Final = 0x8250
+GUARD_LOST: Final = 0x8130
 TORQUE_OFF: Final = 0x5441
 OVER_CURRENT: Final = 0x2310
 FOLLOWING_ERROR: Final = 0x8611
@@ -79,6 +102,7 @@ BOOT_UP: Final = 0x00  # NMT states in a heartbeat
 STOPPED: Final = 0x04
 OPERATIONAL: Final = 0x05
 PRE_OPERATIONAL: Final = 0x7F
+TOGGLE: Final = 0x80  # alternates in the answers to life guarding
 
 SHUTDOWN: Final = 0x06
 SWITCH_ON: Final = 0x07
@@ -87,6 +111,7 @@ DISABLE_VOLTAGE: Final = 0x00
 QUICK_STOP: Final = 0x02
 FAULT_RESET: Final = 0x80
 START_HOMING: Final = 0x1F  # controlword bit 4 in homing mode, the drive being enabled
+INTERPOLATE: Final = 0x1F  # controlword bit 4 in interpolated position mode
 NEW_SETPOINT: Final = 0x3F  # bits 4 and 5 in profile position mode: move to the target at once
 
 TARGET_REACHED: Final = 0x0400  # statusword
@@ -140,25 +165,35 @@ TOWARDS_ENABLED: Final = {
 class Pdo:
     """One process data object as set-up writes it: parameter and mapping index, identifier, contents.
 
-    transmission: 1 = with every SYNC, 255 = at once on change. mapping: (index, bits) in their order.
+    transmission: 1 = with every SYNC, 255 = at once on change. mapping: (index, sub-index, bits) in their order.
     """
 
     parameter: int
     mapping_index: int
     identifier: int
     transmission: int
-    mapping: tuple[tuple[int, int], ...]
+    mapping: tuple[tuple[int, int, int], ...]
 
 
-SETPOINT_PDO: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 32), (VELOCITY_OFFSET, 32)))
-SETPOINT_PDO_PLAIN: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 32),))
-CONTROL_PDO: Final = Pdo(0x1401, 0x1601, RPDO2_ID, 255, ((CONTROLWORD, 16),))
-FEEDBACK_PDO: Final = Pdo(0x1800, 0x1A00, TPDO1_ID, 1, ((POSITION_ACTUAL, 32), (VELOCITY_ACTUAL, 32)))
-STATUS_PDO: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 16), (DIGITAL_INPUTS, 32)))
-STATUS_PDO_PLAIN: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 16),))
+_POSITION, _VELOCITY = (POSITION_ACTUAL, 0, 32), (VELOCITY_ACTUAL, 0, 32)
+SETPOINT_PDO: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 0, 32), (VELOCITY_OFFSET, 0, 32)))
+SETPOINT_PDO_PLAIN: Final = replace(SETPOINT_PDO, mapping=((TARGET_POSITION, 0, 32),))
+INTERPOLATION_PDO: Final = replace(SETPOINT_PDO, mapping=((INTERPOLATION_DATA, 1, 32),))
+CONTROL_PDO: Final = Pdo(0x1401, 0x1601, RPDO2_ID, 255, ((CONTROLWORD, 0, 16),))
+FEEDBACK_PDO: Final = Pdo(0x1800, 0x1A00, TPDO1_ID, 1, (_POSITION, _VELOCITY))
+FEEDBACK_PDO_PLAIN: Final = replace(FEEDBACK_PDO, mapping=(_POSITION,))
+STATUS_PDO: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 0, 16), (DIGITAL_INPUTS, 0, 32)))
+STATUS_PDO_PLAIN: Final = replace(STATUS_PDO, mapping=((STATUSWORD, 0, 16),))
+PDO_PARAMETERS: Final = frozenset((*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
 
 PDO_EVENT_TIMER: Final = 5  # sub-index, ms: a TPDO is sent, an RPDO is due at least this often
 PDO_INVALID: Final = 1 << 31  # bit of the identifier entry: this PDO does not exist
+PDO_NO_RTR: Final = 1 << 30  # of a TPDO: it is not sent on request
+
+SETPOINT_TIME_OUT: Final = "setpoint time-out, 0x1400:05"
+HEARTBEAT_GUARD: Final = "heartbeat of the bench, 0x1016:01"
+LIFE_GUARD: Final = "life guarding, 0x100C and 0x100D"
+GUARDS_PER_LIFE: Final = 5
 
 _SETPOINT = struct.Struct("<ii")
 _SETPOINT_PLAIN = struct.Struct("<i")
@@ -168,28 +203,28 @@ _STATUS = struct.Struct("<HI")
 _EMCY = struct.Struct("<HB5s")
 
 
-def counts_from_rad(angle_rad: float, counts_per_turn: int) -> int:
-    """Return an angle, rad (or a rate, rad/s), in whole counts (counts/s)."""
-    return round(angle_rad * counts_per_turn / math.tau)
-
-
-def rad_from_counts(counts: float, counts_per_turn: int) -> float:
-    """Return counts (counts/s) as rad (rad/s)."""
-    return counts * math.tau / counts_per_turn
-
-
 def encode_setpoint(target: int, velocity_offset: int) -> bytes:
-    """Return the data of SETPOINT_PDO: counts, counts/s."""
+    """Return the data of SETPOINT_PDO: in the drive's units of position and velocity."""
     return _SETPOINT.pack(target, velocity_offset)
 
 
 def encode_plain_setpoint(target: int) -> bytes:
-    """Return the data of SETPOINT_PDO_PLAIN: counts."""
+    """Return the data of SETPOINT_PDO_PLAIN and INTERPOLATION_PDO: in the drive's unit of position."""
     return _SETPOINT_PLAIN.pack(target)
 
 
-def decode_feedback(data: bytes) -> tuple[int, int]:
-    """Return position, counts, and velocity, counts/s, of FEEDBACK_PDO. Raises ValueError on a wrong length."""
+def object_name(index: int, subindex: int = 0) -> str:
+    """Return ``0x6040``, ``0x1400:05``."""
+    return f"0x{index:04X}" + (f":{subindex:02X}" if subindex else "")
+
+
+def decode_feedback(data: bytes, has_velocity: bool = True) -> tuple[int, int | None]:
+    """Return position and velocity in the drive's units of FEEDBACK_PDO; FEEDBACK_PDO_PLAIN has no velocity, None.
+
+    Raises ValueError on a wrong length.
+    """
+    if not has_velocity:
+        return _unpack(_SETPOINT_PLAIN, data)[0], None
     position, velocity = _unpack(_FEEDBACK, data)
     return position, velocity
 
@@ -251,7 +286,7 @@ FAULT_NAMES: Final = {
     0x7305: "encoder fault",
     0x7500: "communication error",
     0x8120: "CAN error passive",
-    0x8130: "heartbeat or guarding lost",
+    GUARD_LOST: "heartbeat or guarding lost",
     0x8140: "recovered from bus off",
     RPDO_TIMEOUT: "setpoint time-out",
     FOLLOWING_ERROR: "following error",
@@ -268,3 +303,8 @@ def fault_text(code: int) -> str:
     """Return code and name of an error code (object 0x603F or EMCY)."""
     name = FAULT_NAMES.get(code) or FAULT_NAMES.get(code & 0xFF00) or "not in the profile's table"
     return f"fault 0x{code:04X} ({name})"
+
+
+def power_of_ten(exponent: int) -> float:
+    """Return 10^exponent, rounded correctly: ``**`` of the C library is not."""
+    return float(f"1e{exponent}")

@@ -1,111 +1,65 @@
-"""Electronic data sheets (CiA 306) of CiA 402 drives, checked for the objects that the driver uses."""
+"""What a CiA 402 drive offers by its data sheet, and what the driver uses of it."""
 
 from __future__ import annotations
 
-import configparser
-import io
-import logging
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
-
-import canopen
-from canopen.objectdictionary import ODVariable, datatypes
-from canopen.objectdictionary.eds import import_eds
+from typing import Final
 
 from hil.config.rig import Cia402
-from hil.core.files import MIB, read_text
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import Pdo
+from hil.drivers.turntable.cia402.eds_file import Variable, read_data_sheet
 from hil.errors import BadInput, Problem
 
-# canopen logs what it also raises; without a handler that would go to the terminal
-logging.getLogger("canopen").addHandler(logging.NullHandler())
-
-_BYTES_MAX: Final = 4 * MIB
 SHIPPED: Final = Path(__file__).parent / "data" / "emulated-drive.eds"
 
-_I8, _I16, _I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
-_U8, _U16, _U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
-_NAMES: Final = {
-    _I8: "INTEGER8",
-    _I16: "INTEGER16",
-    _I32: "INTEGER32",
-    _U8: "UNSIGNED8",
-    _U16: "UNSIGNED16",
-    _U32: "UNSIGNED32",
+ReadObject = Callable[[int, int], int | None]
+"""Returns the value of an object, by index and sub-index; None if the drive does not have it."""
+
+_BITS: Final = {
+    (codec.HEARTBEAT_PRODUCER, 0): 16, (codec.GUARD_TIME, 0): 16, (codec.LIFE_TIME_FACTOR, 0): 8,
+    (codec.HEARTBEAT_CONSUMER, 1): 32, (codec.SYNC_OBJECT, 0): 32, (codec.CYCLE_PERIOD, 0): 32,
+    (codec.ABORT_CONNECTION_OPTION, 0): 16, (codec.ERROR_CODE, 0): 16, (codec.ERROR_REGISTER, 0): 8,
+    (codec.CONTROLWORD, 0): 16, (codec.STATUSWORD, 0): 16, (codec.QUICK_STOP_OPTION, 0): 16,
+    (codec.MODE, 0): 8, (codec.MODE_DISPLAY, 0): 8, (codec.POSITION_ACTUAL, 0): 32, (codec.VELOCITY_ACTUAL, 0): 32,
+    (codec.TARGET_POSITION, 0): 32, (codec.VELOCITY_OFFSET, 0): 32, (codec.DIGITAL_INPUTS, 0): 32,
+    (codec.INTERPOLATION_DATA, 1): 32, (codec.INTERPOLATION_SUBMODE, 0): 16, (codec.BUFFER, 6): 8,
+    (codec.INTERPOLATION_PERIOD, 1): 8, (codec.INTERPOLATION_PERIOD, 2): 8,
+    (codec.PROFILE_VELOCITY, 0): 32, (codec.PROFILE_ACCELERATION, 0): 32, (codec.PROFILE_DECELERATION, 0): 32,
+    (codec.HOMING_METHOD, 0): 8, (codec.HOMING_SPEEDS, 1): 32, (codec.HOMING_SPEEDS, 2): 32,
+    (codec.HOMING_ACCELERATION, 0): 32,
+}  # fmt: skip
+"""Size of the profile's objects that the driver uses; of PDO parameters and mappings see ``_bits``."""
+
+_PROFILE: Final = ((codec.PROFILE_VELOCITY, 0), (codec.PROFILE_ACCELERATION, 0))
+_STREAMS: Final = {
+    codec.CYCLIC_SYNCHRONOUS_POSITION: (codec.TARGET_POSITION, 0),
+    codec.INTERPOLATED_POSITION: (codec.INTERPOLATION_DATA, 1),
 }
-_WRITABLE: Final = ("rw", "wo", "rww", "rwr")
-_OPTIONAL: Final = (codec.VELOCITY_OFFSET, codec.DIGITAL_INPUTS)
+"""Modes that follow setpoints, in the order in which they are preferred, and the object of the setpoint."""
+_PDOS: Final = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
 
 
-@dataclass(frozen=True)
-class Need:
-    """An object that the driver reads or writes: its type, and whether it is written."""
-
-    index: int
-    data_type: int
-    written: bool = False
-    subindex: int = 0
-
-
-def _needs() -> list[Need]:
-    needs = [
-        Need(codec.DEVICE_TYPE, _U32),
-        Need(codec.HEARTBEAT_PRODUCER, _U16, True),
-        Need(codec.IDENTITY, _U32, subindex=1),
-        Need(codec.ABORT_CONNECTION_OPTION, _I16, True),
-        Need(codec.ERROR_CODE, _U16),
-        Need(codec.CONTROLWORD, _U16, True),
-        Need(codec.STATUSWORD, _U16),
-        Need(codec.QUICK_STOP_OPTION, _I16, True),
-        Need(codec.MODE, _I8, True),
-        Need(codec.MODE_DISPLAY, _I8),
-        Need(codec.POSITION_ACTUAL, _I32),
-        Need(codec.VELOCITY_ACTUAL, _I32),
-        Need(codec.TARGET_POSITION, _I32, True),
-    ]
-    for pdo in (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO):
-        needs += [Need(pdo.parameter, _U32, True, 1), Need(pdo.parameter, _U8, True, 2)]
-        needs += [Need(pdo.mapping_index, _U8, True), Need(pdo.mapping_index, _U32, True, 1)]
-    needs += [Need(pdo.parameter, _U16, True, codec.PDO_EVENT_TIMER) for pdo in (codec.SETPOINT_PDO, codec.STATUS_PDO)]
-    return needs
-
-
-def _homing_needs() -> list[Need]:
-    return [
-        Need(codec.HOMING_METHOD, _I8, True),
-        Need(codec.HOMING_SPEEDS, _U32, True, 1),
-        Need(codec.HOMING_SPEEDS, _U32, True, 2),
-        Need(codec.HOMING_ACCELERATION, _U32, True),
-    ]
-
-
-_MAPPED: Final = (
-    codec.CONTROLWORD,
-    codec.STATUSWORD,
-    codec.POSITION_ACTUAL,
-    codec.VELOCITY_ACTUAL,
-    codec.TARGET_POSITION,
-)
-_PROFILE: Final = (codec.PROFILE_VELOCITY, codec.PROFILE_ACCELERATION, codec.PROFILE_DECELERATION)
+def _bits(index: int, subindex: int) -> int | None:
+    if index in codec.PDO_PARAMETERS:
+        return {1: 32, 2: 8, codec.PDO_EVENT_TIMER: 16}.get(subindex)
+    if index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00):
+        return 32 if subindex else 8
+    return _BITS.get((index, subindex))
 
 
 class Eds:
-    """A data sheet that was read; ``variables`` by index and sub-index.
+    """A data sheet that was read; ``variables`` by index and sub-index. notes: what is illegible in it.
 
-    homing: an axis needs homing. Raises BadInput with everything that the driver misses.
+    homing: an axis needs homing. Raises BadInput with everything that the driver misses and has no substitute for.
     """
 
     def __init__(self, path: Path, homing: bool = False) -> None:
         self.path = path
-        self.variables = variables_of(read_eds(path))
-        problems = [text for need in [*_needs(), *(_homing_needs() if homing else [])] if (text := self._fault(need))]
-        for index in _MAPPED:
-            variable = self._find(index)
-            if variable is not None and not variable.pdo_mappable:
-                problems.append(f"0x{index:04X}: PDOMapping=0: the driver must map it into a PDO, allowed: 1")
-        if problems:
+        sheet = read_data_sheet(path)
+        self.variables, self.notes = sheet.variables, sheet.notes
+        if problems := [*self._problems(homing)]:
             raise BadInput([Problem(str(path), *text.split(": ", 1)) for text in problems])
 
     @classmethod
@@ -113,49 +67,129 @@ class Eds:
         """Return the data sheet of a rig's drives. Raises BadInput with everything that the driver misses in it."""
         return cls(SHIPPED if config.eds_file is None else Path(config.eds_file), homing)
 
-    @property
-    def has_profiles(self) -> bool:
-        """Whether the drive has what profile position mode needs."""
-        return all(self._find(index) is not None for index in _PROFILE)
+    def has(self, index: int, subindex: int = 0) -> bool:
+        """Return whether the drive has an object that the driver can read."""
+        variable = self.variables.get((index, subindex))
+        return variable is not None and not self._type_problem(variable)
+
+    def can_write(self, index: int, subindex: int = 0) -> bool:
+        """Return whether the drive has an object that the driver can write."""
+        return self.has(index, subindex) and self.variables[index, subindex].is_writable
 
     def maps(self, pdo: Pdo) -> bool:
         """Return whether all that ``pdo`` holds can be mapped."""
-        variables = [self._find(index) for index, _ in pdo.mapping]
-        return all(variable is not None and variable.pdo_mappable for variable in variables)
+        return all(self._maps(index, subindex) for index, subindex, _ in pdo.mapping)
 
-    def _find(self, index: int, subindex: int = 0) -> Any:
-        return self.variables.get((index, subindex))
+    def default(self, index: int, subindex: int = 0) -> int | None:
+        """Return the default of an object, None if the drive does not have it, or the file gives none."""
+        variable = self.variables.get((index, subindex))
+        return None if variable is None else variable.number
 
-    def _fault(self, need: Need) -> str:
+    @property
+    def has_profiles(self) -> bool:
+        """Whether the drive has what profile position mode needs."""
+        return all(self.can_write(*key) for key in (*_PROFILE, (codec.TARGET_POSITION, 0)))
+
+    @property
+    def streams(self) -> list[int]:
+        """Modes in which the drive can follow setpoints, the preferred one first."""
+        return [mode for mode in self.declared_streams(self.default(*codec.SUPPORTED_MODES)) if self._takes(mode)]
+
+    def declared_streams(self, supported: int | None) -> list[int]:
+        """Return the modes with setpoints in a value of 0x6502; all if there is none."""
+        mode = self.variables.get((codec.MODE, 0))
+        low, high = (None, None) if mode is None else (mode.low, mode.high)
+        return [
+            stream
+            for stream in _STREAMS
+            if (not supported or supported & 1 << stream - 1) and (low is None or high is None or low <= stream <= high)
+        ]
+
+    def _takes(self, mode: int) -> bool:
+        return self._maps(*_STREAMS[mode]) and self.can_write(*_STREAMS[mode])
+
+    def other_pdos(self) -> list[tuple[int, int]]:
+        """Return the identifier entries of the PDOs that the driver does not use."""
+        used = {pdo.parameter for pdo in _PDOS}
+        indices = (index for index in self.variables if index[0] in codec.PDO_PARAMETERS and index[1] == 1)
+        return [key for key in indices if key[0] not in used and self.can_write(*key)]
+
+    def watchdogs(self) -> list[str]:
+        """Return the means by which the drive can notice that the bench is silent, the preferred one first."""
+        means = []
+        if self.can_write(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER):
+            means.append(codec.SETPOINT_TIME_OUT)
+        if self.can_write(codec.HEARTBEAT_CONSUMER, 1):
+            means.append(codec.HEARTBEAT_GUARD)
+        if self.can_write(codec.GUARD_TIME) and self.can_write(codec.LIFE_TIME_FACTOR):
+            means.append(codec.LIFE_GUARD)
+        return means
+
+    def losses(self) -> list[str]:
+        """Return a line per protection that the drive does not offer."""
+        lines = []
+        if not (means := self.watchdogs()):
+            lines.append(
+                "0x1400:05, 0x1016:01 and 0x100C are missing: no watchdog of the drive stops its axis when the bench "
+                "falls silent, the safety chain alone does"
+            )
+        elif not self.can_write(codec.ABORT_CONNECTION_OPTION):
+            lines.append(
+                f"0x6007 is missing: what the drive does when its watchdog ({means[0]}) expires is set in the drive: "
+                "try it with hil commission --proof-test"
+            )
+        if not self.can_write(codec.QUICK_STOP_OPTION):
+            lines.append("0x605A is missing: whether the drive keeps its torque after a quick stop is set in the drive")
+        if not self.has(codec.MODE_DISPLAY):
+            lines.append("0x6061 is missing: the drive does not confirm its mode of operation")
+        return lines
+
+    def _problems(self, homing: bool) -> list[str]:
+        """Return the problems of objects without a substitute, ``KEY: text``."""
+        if not self.streams:
+            return [self._no_stream()]
+        problems = [self._problem(codec.CONTROLWORD, 0, written=True, mapped=True)]
+        problems += [self._problem(index, 0, mapped=True) for index in (codec.STATUSWORD, codec.POSITION_ACTUAL)]
+        problems.append(self._problem(codec.MODE, 0, written=True))
+        for pdo in _PDOS:
+            problems += [self._problem(pdo.parameter, 1, written=True), self._problem(pdo.parameter, 2)]
+            problems += [self._problem(pdo.mapping_index, sub) for sub in (0, 1)]
+        if homing:
+            problems += [self._problem(*key, written=True) for key in codec.HOMING_OBJECTS]
+        return [problem for problem in problems if problem]
+
+    def _no_stream(self) -> str:
+        supported = self.default(*codec.SUPPORTED_MODES)
+        if supported and not self.declared_streams(supported):
+            section = self.variables[codec.SUPPORTED_MODES].section
+            return (
+                f"{section} DefaultValue: 0x{supported:X} has neither bit 7, cyclic synchronous position, nor bit 6, "
+                "interpolated position: the drive cannot follow setpoints of the bench"
+            )
+        wanted = self.declared_streams(supported) or list(_STREAMS)
+        return self._problem(*_STREAMS[wanted[0]], written=True, mapped=True) or (
+            f"{self.variables[codec.MODE, 0].section} LowLimit, HighLimit: exclude the modes 7 and 8: the drive cannot "
+            "follow setpoints of the bench"
+        )
+
+    def _maps(self, index: int, subindex: int) -> bool:
+        return self.has(index, subindex) and self.variables[index, subindex].is_mappable
+
+    def _problem(self, index: int, subindex: int, written: bool = False, mapped: bool = False) -> str:
         """Return the problem of one object, "" for none."""
-        key = f"0x{need.index:04X}" + (f" sub {need.subindex}" if need.subindex else "")
-        variable = self._find(need.index, need.subindex)
+        variable = self.variables.get((index, subindex))
         if variable is None:
-            return f"{key}: is missing: the driver needs it"
-        if variable.data_type != need.data_type:
-            actual = _NAMES.get(variable.data_type, f"0x{variable.data_type:04X}")
-            return f"{key}: DataType is {actual}, allowed: {_NAMES[need.data_type]}"
-        if need.written and variable.access_type not in _WRITABLE:
-            return f"{key}: AccessType={variable.access_type}: the driver writes it, allowed: {', '.join(_WRITABLE)}"
+            return f"{codec.object_name(index, subindex)}: is missing: the driver needs it"
+        if problem := self._type_problem(variable):
+            return problem
+        if written and not variable.is_writable:
+            return f"{variable.section} AccessType: {variable.access}: the driver writes it, allowed: rw, wo, rww, rwr"
+        if mapped and not variable.is_mappable:
+            return f"{variable.section} PDOMapping: 0: the driver must map it into a PDO, allowed: 1"
         return ""
 
-
-def read_eds(path: Path) -> canopen.ObjectDictionary:
-    """Return the object dictionary of a data sheet. Raises BadInput."""
-    text = read_text(path, _BYTES_MAX, "latin-1")  # encodings of vendors differ
-    if "[DeviceInfo]" not in text:
-        raise BadInput.single(str(path), "", "not an EDS file: section [DeviceInfo] is missing")
-    try:
-        dictionary: canopen.ObjectDictionary = import_eds(io.StringIO(text), None)
-    except (configparser.Error, ValueError, KeyError, TypeError) as error:
-        raise BadInput.single(str(path), "", f"not an EDS file: {error}") from error
-    return dictionary
-
-
-def variables_of(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
-    """Return the variables of an object dictionary by index and sub-index."""
-    variables: dict[tuple[int, int], ODVariable] = {}
-    for entry in dictionary.values():
-        members = [entry] if isinstance(entry, ODVariable) else list(entry.values())
-        variables |= {(variable.index, variable.subindex): variable for variable in members}
-    return variables
+    def _type_problem(self, variable: Variable) -> str:
+        bits = _bits(variable.index, variable.subindex)
+        if variable.data_type is None or bits is None or variable.bits == bits:
+            return ""
+        return f"{variable.section} DataType: is {variable.type_name}, allowed: a whole number of {bits} bits"

@@ -20,9 +20,9 @@ def _check(turntable: RotaryAxes) -> None:
 def _check_files(turntable: RotaryAxes) -> list[str]:
     from hil.drivers.turntable.cia402.eds import Eds  # on use: importing canopen is slow
 
-    if turntable.cia402 is not None:
-        Eds.of(turntable.cia402, homing=any(axis.encoder == "incremental" for axis in turntable.axes))
-    return []
+    if turntable.cia402 is None:
+        return []
+    return Eds.of(turntable.cia402, homing=any(axis.encoder == "incremental" for axis in turntable.axes)).losses()
 
 
 def _setpoints_hz(turntable: RotaryAxes) -> float:

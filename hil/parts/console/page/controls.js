@@ -7,6 +7,7 @@ const $ = (id) => document.getElementById(id);
 const SHELVED_S = 600;
 const JOG_MS = 60;
 const ANSWER_MS = 6000;
+const HALT_MS = 400;
 
 const YES_AFTER_MS = 400; // who has just clicked or pressed a key does not confirm by the second of a pair
 const SAME_ACT_MS = 1000; // a press of a pointer and its click
@@ -95,7 +96,9 @@ export class Controls {
     if (!this.link.connected) this.notify(`no connection: ${order.toUpperCase()} was not sent, use the emergency stop`);
     const answered = this.link.ask({ do: "order", order });
     closeDialog($("confirm"));
+    const late = setTimeout(() => this.notify(`${order.toUpperCase()} is not confirmed yet: use the emergency stop`), HALT_MS);
     const answer = await answered;
+    clearTimeout(late);
     if (answer.text !== "no connection") this.notify(answer.ok ? "" : answer.text);
   }
 

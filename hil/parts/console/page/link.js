@@ -17,6 +17,7 @@ export class Link {
     this.sent = 0; // number of the last request that may move the bench
     this.seen_s = null; // wall_s of the newest update that is drawn: what an operator acts on
     this.beats = []; // round trip, ms, and by how much the console's clock is ahead at most, s, of the last beats
+    this.heard_ms = Infinity; // when the newest beat that was answered was sent
     this.ahead_s = null; // the least of these: how much the console's clock is ahead
     this.page = crypto.getRandomValues(new Uint32Array(4)).join("-"); // a new connection of this page replaces a lost one
     setInterval(() => this.drop(), RECONNECT_MS);
@@ -29,9 +30,10 @@ export class Link {
     return Boolean(this.socket) && this.greeted && this.socket.readyState === WebSocket.OPEN;
   }
 
-  // Whether no message has been received for 0.5 s, also if the network fails silently.
+  // Whether no message has been received for 0.5 s, or the console has answered no beat of that time: a network may fail
+  // silently, in one direction alone.
   get lost() {
-    return performance.now() - this.received_ms > LOST_MS;
+    return performance.now() - Math.min(this.received_ms, this.heard_ms + BEAT_MS) > LOST_MS;
   }
 
   // Whether the values that are drawn are too old to act on.
@@ -84,6 +86,7 @@ export class Link {
     for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
     this.waiting.clear();
     this.beats = [];
+    this.heard_ms = Infinity;
     this.on.lost();
   }
 
@@ -119,6 +122,7 @@ export class Link {
     // sent here and not by a timer: timers of a background page are throttled
     if (now - this.beat_ms > BEAT_MS) {
       this.beat_ms = now;
+      if (this.heard_ms === Infinity) this.heard_ms = now; // the first
       this.socket.send(JSON.stringify({ do: "beat", got: this.got, sent_ms: now }));
     }
     const length = new DataView(data).getUint32(0, true);
@@ -129,6 +133,7 @@ export class Link {
   }
 
   beaten({ beat, wall_s }) {
+    this.heard_ms = beat;
     const trip_ms = performance.now() - beat;
     this.beats = [...this.beats.slice(1 - BEATS), { trip_ms, ahead_s: wall_s - (Date.now() - trip_ms) / 1000 }];
     this.ahead_s = Math.min(...this.beats.map((each) => each.ahead_s));

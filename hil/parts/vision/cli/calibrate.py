@@ -31,7 +31,6 @@ from hil.cli.options import (
 )
 from hil.cli.output import base_of, deliver, say, write_json
 from hil.cli.progress import ProgressBar
-from hil.config.vmu_geometry import Tolerances
 from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
@@ -347,6 +346,7 @@ def _calibrate(
 def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
     """Read or write the cameras of a pair as another program has them."""
     from hil.config.load import load_geometry, load_rig
+    from hil.config.vmu_geometry import Tolerances
     from hil.vmu.calibration.files import as_toml
     from hil.vmu.calibration.interchange import read_pair, written
     from hil.vmu.geometry import geometry_of_rig
