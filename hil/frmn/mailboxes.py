@@ -19,7 +19,6 @@ from hil.core.messages import AXES, COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, T
 from hil.core.sensor_records import SENSOR_SAMPLE
 
 
-
 class Role(IntEnum):
     """Side of a link."""
 
