@@ -37,6 +37,16 @@ _ABSENT = (0x06020000, 0x06090011)  # no such object, no such sub-index
 _CYCLES_PER_S = 50.0
 
 
+_OTHER_REMEDY = "check its state and data sheet with the tool of its maker"
+_REMEDIES = {
+    codec.INTERPOLATION_PERIOD: "run the scenario at a rate whose period the drive takes",
+    codec.QUICK_STOP_OPTION: "set 6, or 5, with the tool of its maker: the axis must keep its torque after a stop",
+    codec.ABORT_CONNECTION_OPTION: "set 3, quick stop, with the tool of its maker",
+    codec.HEARTBEAT_CONSUMER: "without a watchdog of the drive only the safety chain stops it",
+    codec.MODE: "the mode must be one of 0x6502",
+}
+"""What to do if the drive refuses a setting, by object."""
+
 Handler = Callable[[int, bytes], None]
 
 
@@ -487,7 +497,7 @@ class DriveSetup:
                 return transfer()
             except SdoAbortedError as error:
                 what = name if value is None else f"{name} = {value}"
-                text = f"refuses object {what}: {error}"
+                text = f"refuses object {what}: {error}: {_REMEDIES.get(index, _OTHER_REMEDY)}"
                 if error.code in _ABSENT:
                     text = (
                         f"object {name} of the data sheet does not exist in the drive: enter its own as cia402.eds_file"
