@@ -20,7 +20,8 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort, Frame
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
-from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup, PortNetwork
+from hil.drivers.turntable.cia402.sdo import PortNetwork
+from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup
 from hil.errors import BadInput, DeviceError, LinkTimeout, ProtocolError
 
 _RESPONSE_S: Final = 0.04  # bench time within which the responses to one SYNC are valid
