@@ -161,6 +161,8 @@ class _PyAv:
 
 def _luma(frame: Any) -> np.ndarray:
     """Return the luma of a frame of PyAV, (h, w), uint8."""
+    import cv2
+
     kind = frame.format
     first = kind.components[0]
     if kind.is_rgb or kind.has_palette or first.plane != 0 or first.bits > 16:
@@ -176,8 +178,7 @@ def _luma(frame: Any) -> np.ndarray:
         depth = 16 if kind.name.startswith("p0") or kind.name.startswith("p2") else first.bits  # p010: upper bits
         rows = (rows >> (depth - 8)).astype(np.uint8)
     is_full = kind.name.startswith(("gray", "yuvj")) or int(frame.color_range or 0) == _FULL_RANGE
-    image: np.ndarray = np.ascontiguousarray(rows) if is_full else _EXPANDED[rows]
-    return image
+    return np.array(rows) if is_full else np.asarray(cv2.LUT(np.ascontiguousarray(rows), _EXPANDED))
 
 
 class _OpenCv:
