@@ -186,10 +186,14 @@ def dead_leds(rng: np.random.Generator, count: int) -> Iterable[Frame]:
         yield replace(scene, leds_m=scene.leds_m[lit], lights_v=lights), truth
 
 
+_SOLVED = {"window with bars": 0.6, "cables": 0.6}  # LEDs on bars and cables are lost with these
 _EITHER = Expectation(refused=("ambiguous", "ok_position", "ok_sight", "too_few"))
 
 LAB_ROWS = (
-    *(Row(f"background: {name}", VERY_GOOD, backgrounds(draw)) for name, draw in BACKDROPS.items()),
+    *(
+        Row(f"background: {name}", VERY_GOOD, backgrounds(draw), expected=Expectation(_SOLVED.get(name, 0.9)))
+        for name, draw in BACKDROPS.items()
+    ),
     Row("ghost of 20 %", VERY_GOOD, ghosts(0.2)),
     Row("ghost of 20 %, half the size", VERY_GOOD, ghosts(0.2, -0.5)),
     Row("ghost of 8 %, upright", VERY_GOOD, ghosts(0.08, 0.6)),
