@@ -70,7 +70,7 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("rig.vmu.driver=rs422", ("vmu.driver", "mock")),
         ("rig.io.thruster_lines=3", ("rig.io.thruster_lines", "allowed", "or 0 for none")),
         ("orbit.altitude_m=-1000.0", ("orbit.altitude_m", "-1000", "greater than 0")),
-        ("orbit.eccentricity=0.2", ("orbit.eccentricity", "0.2", "less than 0.1")),
+        ("orbit.eccentricity=0.8", ("orbit.eccentricity", "0.8", "less than or equal to 0.7")),
         ("truth.relative_motion=kepler", ("truth.relative_motion", "kepler", "'hill' or 'nonlinear'")),
         ("truth.gravity_degree=9", ("truth.gravity_degree", "9", "allowed 0 to 8")),
         ("truth.gravity_degree=-1", ("truth.gravity_degree", "-1", "0")),
