@@ -31,7 +31,7 @@ _INTERVAL_S: Final = 0.1
 _FREQUENCY_RADPS: Final = 0.3  # of the textbook control, critically damped
 _SETTLED_S: Final = 30.0  # at the end of a phase that waits
 _EDGE_S: Final = 1e-6
-_CLOSING: Final = 0.95  # of the largest closing rate: the rest is for the uncertainty of the estimate
+_CLOSING: Final = 0.92  # of the largest closing rate: the rest is for the uncertainty of estimate and thrust
 
 
 class Authority(NamedTuple):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rich.text import Text
 from hil.core.files import write_text
 
 _WIDEST = 1000  # characters of a table
+_REASONS = 3
 _FIGURES = (".png", ".pdf", ".svg")
 
 
@@ -99,3 +101,13 @@ def base_of(name: str, out_path: str, kind: str = "rigs") -> str:
     if name in shipped(kind):
         return name
     return Path(os.path.relpath(Path(name).resolve(), Path(out_path).resolve().parent)).as_posix()
+
+
+def commonest(refusals: Iterable[tuple[str, str]]) -> list[str]:
+    """Return a line for each of the commonest statuses, with its commonest reason. refusals: status, reason."""
+    rows = list(refusals)
+    out = []
+    for status, count in Counter(status for status, _ in rows).most_common(_REASONS):
+        why = Counter(text for name, text in rows if name == status and text).most_common(1)
+        out.append(f"{count} {status}" + (f": {why[0][0]}" if why else ""))
+    return out

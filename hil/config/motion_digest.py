@@ -38,6 +38,7 @@ def motion_digest(rig: Rig) -> str:
             continue
         for of_emulators in [key for key in table[device] if key == "mechanics" or key.startswith("drive_following")]:
             del table[device][of_emulators]
+        (table[device].get("cia402") or {}).pop("emulated", None)
         for name in names:
             del table[device][name]["lead_s"]
         if not table[device]["controllers"]:

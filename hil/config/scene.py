@@ -53,11 +53,15 @@ class CameraTolerances(ConfigModel):
     """Principal point, along u and v."""
     distortion_px: Tolerance = 0.5
     """Radial distortion at the image's corner."""
-    tone_px: Tolerance = 0.0
-    """Shift of an edge of half the grey range towards its darker side by the camera's tone curve; above 0 the curve is
-    estimated."""
-    time_s: Tolerance = 0.0
-    """Time of a portion's last frame: fields, lost frames."""
+    tone_px: Tolerance = 0.2
+    """Shift of an edge of half the grey range towards its darker side by the camera's tone curve (all television has
+    gamma); above 0 the curve is estimated."""
+    time_s: Tolerance | None = None
+    """Time of a portion's last frame: fields, lost frames; half an image period unless stated."""
+    rate_fraction: Tolerance = 1e-3
+    """Image rate, relative, on which all velocities rest."""
+    focal_drift_per_s: Tolerance = 2e-5
+    """Change of the focal length per second, relative: zoom, focus, warming up. It looks like a closing rate."""
 
 
 class SceneCamera(ConfigModel):

@@ -18,8 +18,6 @@ from hil.core.gnc_records import BACKEND_POSE_FIELDS, GNC_INPUT_3, GNC_ORBIT, GN
 from hil.core.messages import AXES, COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, TRUTH
 from hil.core.sensor_records import SENSOR_SAMPLE
 
-NAME_BYTES: Final = 16
-
 
 class Role(IntEnum):
     """Side of a link."""

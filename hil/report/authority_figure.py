@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.maths import elementary
 from hil.params.gnc import allocation, wrenches_of
 
 _PLANES = ((0, 1), (0, 2), (1, 2))
@@ -18,7 +17,7 @@ def polygon(vectors: Array) -> Array:
     """Return the corners, (m, 2), in order, of all sums of parts from 0 to 1 of ``vectors`` (n, 2): a zonogon."""
     upper = np.where((vectors[:, 1] > 0.0) | ((vectors[:, 1] == 0.0) & (vectors[:, 0] > 0.0)), 1.0, -1.0)[:, None]
     edges = vectors * upper  # each from the lower side to the upper one
-    edges = edges[np.argsort([math.atan2(y, x) for x, y in edges])]
+    edges = edges[np.argsort([elementary.atan2(y, x) for x, y in edges])]
     lowest = vectors[upper[:, 0] < 0.0].sum(axis=0)
     corners: Array = lowest + np.concatenate(
         [np.zeros((1, 2)), np.cumsum(edges, axis=0), edges.sum(axis=0) - np.cumsum(edges, axis=0)]

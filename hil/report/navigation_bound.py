@@ -2,8 +2,9 @@
 
 A recursion of Riccati's equation (Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46 (1998)) over the
 poses that arrived, with the covariances that the vision unit reported, and the true noise of the IMU. Each axis is
-alone: position, velocity and accelerometer bias; rotation and gyro drift. What couples them only adds errors, as do
-bias, misalignment and correlated noise. No parameter of a filter enters.
+alone: position, velocity and accelerometer bias; rotation and gyro drift. What couples them only adds errors, as does
+correlated noise. Bias, misalignment and scale of the vision unit, which poses cannot show, are added with the sizes of
+the error budget. No parameter of a filter enters.
 """
 
 from __future__ import annotations
@@ -49,6 +50,10 @@ class NavigationBound:
         )
         # densities: a sample's noise holds for the time of the sample
         self._noise = scenario.sample_s * np.square(noise)
+        budget = scenario.gnc.navigation.budget
+        turned = radians(budget.vision_misalignment_sigma_deg)
+        self._constant = square(np.array([budget.vision_bias_sigma_m, [turned] * 3]))
+        self._per_range = square(np.array([budget.vision_scale_sigma, turned, turned]))
         self._p: Array | None = None
         self._last_s = 0.0
         self._sums = {True: np.zeros((2, 3)), False: np.zeros((2, 3))}  # after and before ``settled_s``
@@ -59,8 +64,9 @@ class NavigationBound:
         poses = vmu_columns.poses(rows)
         if not self._has_imu or not len(poses):
             return
-        for t_s, variance in zip(poses["t_s"].tolist(), self._variances(poses), strict=True):
-            self._add_pose(t_s, variance)
+        far = square(poses["z_TC_C"]).sum(axis=1).tolist()
+        for t_s, variance, square_m2 in zip(poses["t_s"].tolist(), self._variances(poses), far, strict=True):
+            self._add_pose(t_s, variance, square_m2)
 
     def _variances(self, poses: np.ndarray) -> Array:
         """Return the variances of ``poses`` (n,) of POSE, (n, 2, 3): of each axis of c if the others were known."""
@@ -70,7 +76,7 @@ class NavigationBound:
         variances: Array = 1.0 / (information * poses["fresh"][:, None, None] * self._scale)
         return variances
 
-    def _add_pose(self, t_s: float, variance: Array) -> None:
+    def _add_pose(self, t_s: float, variance: Array, square_m2: float) -> None:
         if self._p is None:
             self._p = np.array([[np.diag(start)] * 3 for start in self._start])
             self._p[:, :, 0, 0], self._last_s = variance, t_s
@@ -81,6 +87,8 @@ class NavigationBound:
         f, q = _step(round(elapsed_s, 9), tuple(map(tuple, self._noise.tolist())))
         is_settled = self._last_s >= self._settled_s
         advance(self._p, f, q, variance, 0.5 * elapsed_s, self._sums[is_settled])
+        self._sums[is_settled] += elapsed_s * self._constant
+        self._sums[is_settled][0] += elapsed_s * square_m2 * self._per_range
         self._time_s[is_settled] += elapsed_s
         self._last_s = t_s
 

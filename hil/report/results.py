@@ -183,7 +183,9 @@ class NavigationResults(Results):
     attitude_rmse_deg: Vector | None = row("[3], error of the attitude", "attitude rmse x y z, deg", number(".4g"))
     position_sigma_m: Vector | None = row("[3], the filters' own standard deviation")
     attitude_sigma_deg: Vector | None = row("[3], the filters' own standard deviation")
-    position_bound_m: Vector | None = row("[3], Cramér-Rao bound with these poses and this IMU, whatever GNC is flown")
+    position_bound_m: Vector | None = row(
+        "[3], Cramér-Rao bound with these poses, this IMU and the error budget, whatever GNC is flown"
+    )
     attitude_bound_deg: Vector | None = row("[3], the same of the attitude")
     nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, 9 states", _TWO)
     nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, 6 states", _TWO)

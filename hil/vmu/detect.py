@@ -23,6 +23,8 @@ from hil.vmu.kernels.search import TOO_MANY, detect
 
 _MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 6
+_STEPS_TRIES: Final = 2
+_MOST_WORK: Final = 3.5e7  # products of the fits in one image: about 35 ms
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
 _PRIOR_WEIGHT: Final = 2000.0
@@ -68,9 +70,14 @@ class SpotDetector:
         self._noise = np.zeros((_MOST_COMPONENTS, 2))
         self._last = self._spots[:0].copy()
         self._given_per_level = 1.0 / sensor.electrons_per_level if sensor else None
-        self._noise_sums = np.zeros(2)
+        self._noise_sums, self._work = np.zeros(2), np.zeros(1)
         self.overfull = False
         """Whether the last image had more lights than can be measured, and therefore no spots."""
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Return whether the lights of the last image took too long to measure, and the last ones are left out."""
+        return bool(self._work[0] < 0.0)
 
     @property
     def variance_per_level(self) -> float:
@@ -80,11 +87,16 @@ class SpotDetector:
         above, below = self._noise_sums
         return max(float((above + _PRIOR_WEIGHT * _PRIOR_PER_LEVEL) / (below + _PRIOR_WEIGHT)), 0.0)
 
-    def spots(self, image: np.ndarray, windows: Array | None = None, weak: bool = False) -> np.ndarray:
+    def spots(
+        self, image: np.ndarray, windows: Array | None = None, weak: bool = False, steps: bool = False,
+        retry: bool = False,
+    ) -> np.ndarray:  # fmt: skip
         """Return the spots of ``image`` (h, w), uint8, as an array of SPOT.
 
         windows: (k, 4), px: u and v of the first pixel and of the one after the last of each region to be searched; a
-        light that extends into one is measured completely, once. None: the whole image. weak: weak lights too.
+        light that extends into one is measured completely, once. None: the whole image. weak: weak lights too. steps:
+        the background of the whole image has steps everywhere (``kernels/split``). retry: of the image that
+        was searched last, within what that left of its work.
         Raise BadInput for an image of another shape or type.
         """
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -94,25 +106,27 @@ class SpotDetector:
             return self._spots[:0].copy()
         regions = _NO_WINDOWS if windows is None else np.ascontiguousarray(windows, dtype=np.int64)
         first_light = not self._noise_sums[1] and self._given_per_level is None
-        spots = self._search(np.ascontiguousarray(image), regions, weak)
-        if self._update_noise() and first_light:
-            spots = self._search(np.ascontiguousarray(image), regions, weak)
+        if not retry:
+            self._work[0] = _MOST_WORK
+        spots = self._search(np.ascontiguousarray(image), regions, weak, steps)
+        if self._update_noise() and first_light and self._work[0] > 0.5 * _MOST_WORK:
+            spots = self._search(np.ascontiguousarray(image), regions, weak, steps)
         return spots
 
-    def _search(self, image: np.ndarray, windows: np.ndarray, weak: bool) -> np.ndarray:
+    def _search(self, image: np.ndarray, windows: np.ndarray, weak: bool, steps: bool) -> np.ndarray:
         chosen = self._settings
         limits = np.zeros(1, LIMITS)[0]
         limits["least_snr"] = (chosen.weak_snr if len(windows) else chosen.faint_snr) if weak else chosen.least_snr
         limits["narrowest"] = chosen.narrowest_sigma_px
         limits["largest"] = chosen.largest_px
-        for attempt in range(_MOST_TRIES):
+        for attempt in range(_STEPS_TRIES if steps else _MOST_TRIES):
             limits["sigmas"] = (chosen.weak_sigmas if weak else chosen.threshold_sigmas) * 2.0**attempt
             self._noise[:] = 0.0
             frame = Frame(
                 image, self._label, self._queue, limits, self.variance_per_level,
-                self._last if len(windows) else self._last[:0],
+                self._last if len(windows) else self._last[:0], self._work,
             )  # fmt: skip
-            count = detect(frame, windows, self._spots, self._noise)
+            count = detect(frame, windows, steps, self._spots, self._noise)
             if count != TOO_MANY:
                 break
         self.overfull = count == TOO_MANY

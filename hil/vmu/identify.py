@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.vmu.ghosts import LensGhosts
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
 from hil.vmu.kernels.records import FIT, MAX_SPOTS, View
@@ -41,6 +42,8 @@ _SHIFTED = 4.5  # sigmas: shift between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
 _OWN, _MORE = 5, 2  # least spots of a camera's own pattern, and by how many more than the best pose
 _SECOND = 4  # LEDs, all by other lights, that make a second pattern
+_FEWEST, _FEW_LIGHTS = 3, 5  # the same of three, if there are hardly any other lights
+_FLUX_ALIKE, _FLUX_RANGE = 0.15, math.log(30.0)  # ln of the brightness: of LEDs, of other lights
 _TWO_LIGHTS = 1.5  # times the usual flux: two lights may be one spot ...
 _TWO_LIGHTS_PX = 6.0  # ... which is displaced
 _RANDOM = 1.0  # ln of the number of patterns by other lights up to which a position is reported
@@ -74,6 +77,7 @@ class Identifier:
         self._solver = solver
         self._settings: SolverSettings = solver.settings
         self._marked = marked_led
+        self.ghosts = tuple(LensGhosts(np.array([lens["cx"], lens["cy"]])) for lens in solver.scene.lens)
         self._slack = max(float(solver.slack.max()) - OPTICS_PX**2, 0.0)
 
     def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
@@ -176,35 +180,66 @@ class Identifier:
         return not strays and not len(self._second_pattern(view, best))
 
     def _second_pattern(self, view: View, best: np.void) -> np.ndarray:
-        """Return the poses of at least four LEDs by the lights that ``best`` does not use, (n,) of FIT.
+        """Return the poses of other LEDs by the lights that ``best`` does not use, (n,) of FIT.
 
         A reflection of the ring, or a second ring, is a pattern like the ring itself, and may be the more complete one.
         Where both touch, two lights are one spot: to three lights each LED of ``best`` is added in turn.
         """
-        rest = without_spots(view, best)
+        rest = self._without_ghosts(view, best)
         if rest.counts.min() >= _SECOND or rest.counts.max() >= _OWN:
-            patterns = self._patterns(rest)
-            return patterns if len(patterns) else self._touching(rest)
-        if rest.counts.min() < _SECOND - 1:
+            patterns = self._patterns(rest, _SECOND)
+            patterns = patterns if len(patterns) else self._touching(rest)
+            if len(patterns):
+                return patterns
+        if rest.counts.min() < _FEWEST:
+            return np.zeros(0, FIT)
+        if rest.counts.max() <= _FEW_LIGHTS and len(patterns := self._patterns(rest, _FEWEST)):
+            return patterns
+        if rest.counts.min() >= _SECOND:
             return np.zeros(0, FIT)
         for n in np.flatnonzero((best["spot"] >= 0).all(axis=0)):
             others = best.copy()
             others["spot"][:, n] = -1
-            if len(patterns := self._patterns(without_spots(view, others))):
+            if len(patterns := self._patterns(self._without_ghosts(view, others), _SECOND)):
                 return patterns
         return np.zeros(0, FIT)
 
-    def _patterns(self, rest: View) -> np.ndarray:
-        """Return the poses of at least four LEDs by the lights ``rest`` that are hardly there by chance."""
-        fits, _ = self._solver.hypotheses(rest, level=_SECOND)
+    def _without_ghosts(self, view: View, best: np.void) -> View:
+        """Return ``view`` without the lights of the pose ``best`` and without what the lenses make of them."""
+        rest = without_spots(view, best)
+        for c, ghosts in enumerate(self.ghosts):
+            leds, lights = view.spots[c, best["spot"][c][best["spot"][c] >= 0]], rest.spots[c, : rest.counts[c]]
+            kept = np.flatnonzero(~ghosts.among(leds, lights))
+            rest.spots[c, : len(kept)], rest.counts[c] = lights[kept], len(kept)
+        return rest
+
+    def _patterns(self, rest: View, least: int) -> np.ndarray:
+        """Return the poses of at least ``least`` LEDs by the lights ``rest`` that are more likely a ring than chance.
+
+        To doubt a pose takes less than to accept one: ``doubt`` against ``false_alarms``.
+        """
+        fits, _ = self._solver.hypotheses(rest, level=least)
         leds = (fits["spot"] >= 0).any(axis=1).sum(axis=1)
-        most = math.log(self._settings.false_alarms)
+        most = math.log(self._settings.doubt)
         return fits[
             [
-                bool(n >= _SECOND and self._possible(fit) and self._log_false_alarms(rest, fit, None) <= most)
+                bool(n >= least and self._possible(fit) and self._log_chance(rest, fit) <= most)
                 for fit, n in zip(fits, leds, strict=True)
             ]
         ]
+
+    def _log_chance(self, view: View, fit: np.void) -> float:
+        """Return ln of the expected number of such patterns of lights that are as much alike, made at random.
+
+        Other lights have any brightness within a factor of thirty.
+        """
+        total = self._log_false_alarms(view, fit, None)
+        for c in range(2):
+            flux = np.log(view.spots["flux"][c, fit["spot"][c][fit["spot"][c] >= 0]])
+            if len(flux) > 1:
+                apart = max(float(np.ptp(flux)), _FLUX_ALIKE)
+                total += (len(flux) - 1) * math.log(min(1.0, 2.0 * apart / _FLUX_RANGE))
+        return total
 
     def _touching(self, rest: View) -> np.ndarray:
         """Return the poses of three LEDs by the lights ``rest`` with a fourth at one that is brighter than most.

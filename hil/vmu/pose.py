@@ -19,6 +19,8 @@ from hil.vmu.kernels.pose_search import (
     SEARCH,
     STATE_FITS,
     STATE_FULL,
+    STATE_STARTS,
+    STATE_TRIPLES,
     STATE_WIDTH,
     add_settled,
     search,
@@ -27,6 +29,7 @@ from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPOT_RAY, 
 from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
+_MOST_TRIPLES, _TRIPLES_PER_START = 18_000, 12  # pairings of three spots with three LEDs for a pair: about 70 ms
 _COARSE = 5.0  # sigmas
 _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
@@ -46,8 +49,8 @@ class SolverSettings:
     near_m, far_m: range of the target. steepest_deg: largest angle between the target's axis -z_t and the line of
     sight. reach_px: largest initial distance of a spot from an LED's projection. decisive: logarithm of the odds at
     which one hypothesis is accepted and another one dropped. false_alarms: expected number of random patterns per image
-    at which a pattern without a track is accepted. largest_sigma_deg: of the attitude, above which no pose is reported,
-    if the LEDs in use are coplanar, and if not.
+    at which a pattern without a track is accepted. doubt: the same, at which a second pattern makes a pose doubtful.
+    largest_sigma_deg: of the attitude, above which no pose is reported, if the LEDs in use are coplanar, and if not.
     """
 
     near_m: float = 0.2
@@ -56,6 +59,7 @@ class SolverSettings:
     reach_px: float = 1.5
     decisive: float = 8.0
     false_alarms: float = 1e-4
+    doubt: float = 0.05
     largest_sigma_deg: tuple[float, float] = (1.0, 3.0)
 
 
@@ -116,7 +120,17 @@ class Solver:
         self._fits = np.zeros(_FITS + 1, FIT)
         self._settled = np.zeros(_FITS + 1, FIT)
         self._state = np.zeros(STATE_WIDTH, np.int64)
+        self._triples = _MOST_TRIPLES
         self._turns = list(ring_turns(self.scene.leds, self.normal_t))
+
+    def begin_pair(self) -> None:
+        """Allow the searches of another pair of images their time."""
+        self._triples = _MOST_TRIPLES
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Return whether the searches of the pair have taken all of their time, so that not all poses were tried."""
+        return self._triples <= 0
 
     def consider_motion(self, motion: TargetMotion | None) -> None:
         """Set the target's motion between the exposures of cameras and rows; None: unknown, of usual rates.
@@ -159,8 +173,10 @@ class Solver:
             self._search.r, self._search.t = matrix_of(prediction.q_vt), prediction.t_v
             self._search.away = _COARSE * float(np.linalg.norm(sigma[:3]))
             self._search.least_trace = 1.0 + 2.0 * math.cos(angle)
+        self._search.most_triples = max(self._triples, 0)
         count = search(self.scene, view, self._search, self._starts, self._fits, self._state)
         complete = not self._state[STATE_FULL]
+        self._triples -= int(self._state[STATE_TRIPLES] + _TRIPLES_PER_START * self._state[STATE_STARTS])
         fits = self._fit(view, self._fits[:count])
         turned = [turn for fit in fits[np.argsort(fits["score"])[::-1][:_TURNED]] for turn in self._turned(fit)]
         if turned:

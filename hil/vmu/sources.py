@@ -24,7 +24,7 @@ MOST_FRAMES: Final = 100_000
 
 CAMERAS: Final = "camera:"
 
-_NAME = re.compile(r"(\d+)\.(png|bmp|tif|tiff|pgm)$", re.IGNORECASE)
+_NAME = re.compile(r"(?:.*\D)?(\d+)\.(png|bmp|tif|tiff|pgm|jpg|jpeg)$", re.IGNORECASE)  # 0001.png, img_0001.png
 _SIDES: Final = ("left", "right")
 
 

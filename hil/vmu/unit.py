@@ -15,11 +15,15 @@ from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, Array, PoseFrame
 from hil.maths import quat
+from hil.vmu import refusals
 from hil.vmu.consistency import Consistency
 from hil.vmu.detect import SpotDetector
+from hil.vmu.ghosts import LensGhosts
 from hil.vmu.identify import (
     AMBIGUOUS,
+    GEOMETRY,
     GEOMETRY_FILE,
+    NO_MATCH,
     NOT_TOGETHER,
     OK,
     TOO_FEW,
@@ -41,12 +45,15 @@ SUSPECT: Final = "suspect"
 RESIDUALS: Final = "residuals"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
+BACKGROUND: Final = "rejected_background"
+BUDGET: Final = "rejected_budget"
 BRIGHT: Final = "rejected_bright"
 CROWDED: Final = "rejected_crowded"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
-_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # fraction of the pixels: more than LEDs cover
+_BRIGHT_FRACTION = 0.1  # of the pixels at full scale: more than LEDs cover
+_SWAPPED_TRIED = 3  # pairs that are compared with the opposite baseline
 _WINDOW_LIMIT = 0.6  # fraction of the image: larger windows are no faster than the whole image
 _FAINT_SNR = 25.0  # signal-to-noise ratio of a light beyond which no other of its kind is lost in noise
 _USUAL_SHIFT = 2.0  # sigmas between the two images
@@ -181,6 +188,8 @@ class VisionUnit:
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
         self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
         self._none = tuple([-1] * len(geometry.leds_m))
+        self._swapped: VisionUnit | None = None
+        self._swapped_tried, self._fits_opposite = 0, False
 
     def solve(
         self, left: np.ndarray | None, right: np.ndarray | None, t_s: float, prediction: Prediction | None = None
@@ -198,9 +207,15 @@ class VisionUnit:
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)
+        self.solver.begin_pair()
         self.solver.consider_motion(self.track.motion(t_s))
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         return solution or self._by_search(images, t_s, expected)
+
+    @property
+    def ghosts(self) -> tuple[LensGhosts, ...]:
+        """Return what the lens of each camera makes of its lights, as learnt so far."""
+        return self._identifier.ghosts
 
     def warm_up(self) -> None:
         """Call every kernel once, which compiles it after a change of the sources."""
@@ -241,6 +256,7 @@ class VisionUnit:
     ) -> Solution:
         """Return the solution of spots (SPOT) of the whole images; see ``solve``."""
         expected = prediction or self.track.predict(t_s)
+        self.solver.begin_pair()
         self.solver.consider_motion(self.track.motion(t_s))
         view = self.solver.view(left, right)
         verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
@@ -276,13 +292,52 @@ class VisionUnit:
         is_overfull = any(detector.overfull for detector in self._detectors)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
+        is_exhausted = self.solver.is_exhausted or any(detector.is_exhausted for detector in self._detectors)
         if not is_overfull and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
+        if verdict.status in (TOO_FEW, NO_MATCH) and not is_exhausted:
+            verdict, view, spots = self._before_steps(images, expected) or (verdict, view, spots)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
-            return self._no_pose(t_s, BRIGHT)
+            clipped = max(refusals.overexposed(image) for image in images if image is not None)
+            return self._no_pose(
+                t_s, BRIGHT, f"{100.0 * clipped:.0f} % of an image at full scale: shorten the exposure"
+            )
         if not any(len(side) for side in spots):
-            return self._no_pose(t_s, CROWDED if is_overfull else DARK)
-        return self._conclude(verdict, view, spots, t_s, full_frame=True)
+            return self._without_light(images, t_s, is_overfull)
+        if is_exhausted and verdict.status in (TOO_FEW, NO_MATCH, GEOMETRY):
+            why = f"{len(spots[0])} and {len(spots[1])} lights are too many for the time of a pair: darken them"
+            return replace(self._predicted(t_s, BUDGET, spots), doubt=Doubt(why))
+        solution = self._conclude(verdict, view, spots, t_s, full_frame=True)
+        if solution.pose is not None or solution.partial is not None or solution.doubt is not None:
+            return solution
+        settings = self.solver.settings
+        why = refusals.reason(verdict, spots, len(self._none), settings, lambda: self._fits_swapped(spots))
+        return replace(solution, doubt=Doubt(why)) if why else solution
+
+    def _without_light(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, is_overfull: bool
+    ) -> Solution:
+        """Return the result for images without a spot."""
+        if is_overfull:
+            return self._no_pose(t_s, CROWDED, "too many lights: shorten the exposure, or darken what is behind")
+        brightest, above = refusals.contrast(images)
+        if above < refusals.DARK_LEVELS:
+            return self._no_pose(
+                t_s, DARK, f"brightest pixel {brightest} levels: LEDs off, lens covered, short exposure?"
+            )
+        why = f"brightest pixel {brightest} levels, but no light stands out: darken what is behind"
+        return self._no_pose(t_s, BACKGROUND, why)
+
+    def _fits_swapped(self, spots: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Return whether the spots have a pose with the opposite baseline; only the first few pairs are tried."""
+        if self._swapped is None:
+            opposite = tuple(-x for x in self.geometry.baseline_m)
+            self._swapped = VisionUnit(self.geometry.model_copy(update={"baseline_m": opposite}), self.solver.settings)
+        if not self._fits_opposite and self._swapped_tried < _SWAPPED_TRIED:
+            self._swapped_tried += 1
+            self._swapped.track.drop()
+            self._fits_opposite = self._swapped.solve_spots(*spots, 0.0).status == OK
+        return self._fits_opposite
 
     def _by_faint_lights(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
@@ -301,6 +356,17 @@ class VisionUnit:
                 return replace(identification, fit=self._sample.accelerated(identification.fit)), long, lights
         return (verdict, view, spots) if verdict.status in (OK, AMBIGUOUS) else None
 
+    def _before_steps(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], expected: Prediction | None
+    ) -> tuple[LedIdentification, View, tuple[np.ndarray, np.ndarray]] | None:
+        """Return identification, view and spots of lights before a background of steps; None if no pose fits them."""
+        spots = self._detect(images, (None, None), weak=False, steps=True)
+        if any(detector.overfull for detector in self._detectors):
+            return None
+        view = self.solver.view(*spots)
+        verdict = self._identifier.search(view, expected, self.track.is_mature)
+        return (verdict, view, spots) if verdict.status in (OK, AMBIGUOUS) else None
+
     def _may_be_faint(self, spots: tuple[np.ndarray, np.ndarray]) -> bool:
         """Return whether LEDs are missing in an image, and the few lights that it shows are weak."""
         n, both = len(self._none), np.concatenate(spots)
@@ -313,16 +379,21 @@ class VisionUnit:
         images: tuple[np.ndarray | None, np.ndarray | None],
         regions: tuple[Array | None, Array | None],
         weak: bool,
+        steps: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         (left, right), (of_left, of_right) = images, regions
         if left is None or right is None or of_left is not None or of_right is not None:
-            return self._spots(0, left, of_left, weak), self._spots(1, right, of_right, weak)
+            return self._spots(0, left, of_left, weak, steps), self._spots(1, right, of_right, weak, steps)
         with ThreadPoolExecutor(1) as beside:  # whole images take milliseconds, and the kernel leaves the interpreter
-            of_right_image = beside.submit(self._spots, 1, right, None, weak)
-            return self._spots(0, left, None, weak), of_right_image.result()
+            of_right_image = beside.submit(self._spots, 1, right, None, weak, steps)
+            return self._spots(0, left, None, weak, steps), of_right_image.result()
 
-    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None, weak: bool) -> np.ndarray:
-        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region, weak)
+    def _spots(
+        self, camera: int, image: np.ndarray | None, region: Array | None, weak: bool, steps: bool
+    ) -> np.ndarray:
+        if image is None:
+            return _NO_SPOTS
+        return self._detectors[camera].spots(image, region, weak, steps, retry=weak or steps)
 
     def _recheck(self) -> bool:
         every = self.track.settings.recheck
@@ -408,8 +479,9 @@ class VisionUnit:
         pose = Pose(expected.t_v, expected.q_vt, expected.covariance, expected.covariance)
         return Solution(t_s, PREDICTED, pose, spots, (self._none, self._none))
 
-    def _no_pose(self, t_s: float, status: str) -> Solution:
-        return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
+    def _no_pose(self, t_s: float, status: str, why: str = "") -> Solution:
+        doubt = Doubt(why) if why else None
+        return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none), doubt=doubt)
 
 
 def residual_scale(fit: np.void) -> tuple[int, float]:
@@ -437,7 +509,7 @@ def with_strained_tolerances(fit: np.void) -> np.void:
 
 def is_bright(image: np.ndarray | None) -> bool:
     """Return whether more of ``image`` is at or near full scale than LEDs can cover: its background is overexposed."""
-    return image is not None and float((image[::4, ::4] >= _BRIGHT_LEVEL).mean()) > _BRIGHT_FRACTION
+    return image is not None and refusals.overexposed(image) > _BRIGHT_FRACTION
 
 
 def epipolar_distance(scene: RingScene, view: View, spots: np.ndarray) -> float:

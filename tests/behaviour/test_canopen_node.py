@@ -16,7 +16,8 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.eds_file import read_data_sheet
-from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
+from hil.drivers.turntable.cia402.sdo import PortNetwork
+from hil.drivers.turntable.cia402.setup import DriveSetup
 
 pytestmark = pytest.mark.wires
 

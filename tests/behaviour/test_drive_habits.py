@@ -22,6 +22,7 @@ from hil.errors import DeviceError, DriveFault, LinkLost, ProtocolError
 from hil.parts.emulation.cia402 import Cia402Emulator
 from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.can_bus import BusClock, CanBus, group_of
+from tests.support.data_sheets import altered, section
 from tests.support.drive_makes import CSP_AND_HOMING, INTERPOLATED_AND_HOMING, MAKES, MILLI_PER_MINUTE, PER_MINUTE
 from tests.support.lock_step import GRID_S
 from tests.support.turntable_bench import eventually, served
@@ -182,13 +183,61 @@ def test_drives_interpolate_over_the_time_between_two_setpoints() -> None:
 
 @pytest.mark.parametrize("missing", [(), (0x1400,)], ids=["setpoint time-out", "heartbeat"])
 def test_silent_bench_is_noticed_by_the_watchdog_that_the_drive_has(missing, tmp_path) -> None:
-    from tests.unit.drivers.test_turntable_eds import altered, section
-
     keys = {"eds_file": str(altered(tmp_path, (section("1400sub5"), "")))} if missing else {}
     with served("cia402", cia402=keys) as (emulator, device, clock):
         device.send(np.radians((40.0, -40.0, 40.0)), np.radians((5.0, -5.0, 5.0)), clock.now_s())
         device._link._port.send = lambda *frames: None
         eventually(clock, lambda: emulator.drives[0].state is codec.DriveState.QUICK_STOP_ACTIVE)
+
+
+GUARDING = "[100C]\nDataType=0x0006\nAccessType=rw\n[100D]\nDataType=0x0005\nAccessType=rw\n\n"
+LOOKALIKES = {
+    "heartbeat and no event timers": ["1400sub5", "1801sub5", "6065", "6066"],
+    "life guarding, no error code, own interpolation time": [
+        "1400sub5",
+        "1016sub1",
+        "1017",
+        "6007",
+        "603F",
+        "60C2sub1",
+    ],
+    "interpolated position, few objects": [
+        "1400sub5",
+        "6007",
+        "603F",
+        "605A",
+        "60FD",
+        "6098",
+        "6099sub1",
+        "60A9",
+        "6084",
+    ],
+    "no velocities": ["606C", "60B1", "60A9", "608Fsub1"],
+    "no watchdog": ["1400sub5", "1016sub1"],
+}
+
+
+@pytest.mark.parametrize("name", LOOKALIKES)
+def test_drive_that_lacks_objects_follows_by_their_substitutes(tmp_path, name: str) -> None:
+    changes = [(f"{section(index)}\n\n", "") for index in LOOKALIKES[name]]
+    if "life" in name:
+        changes.append(("[1016]", f"{GUARDING}[1016]"))
+    habits = {"emulated": DriveHabits(supported_modes=INTERPOLATED_AND_HOMING)} if "interpolated" in name else {}
+    keys = {"eds_file": str(altered(tmp_path, *changes)), **habits}
+    with served("cia402", cia402=keys, timeout_s=0.4) as (emulator, device, clock):
+        setups = [node.setup for node in device._link._nodes]
+        expected = {"life": [codec.LIFE_GUARD], "no watchdog": []}
+        watchdogs = next((each for word, each in expected.items() if word in name), None)
+        if watchdogs is not None:
+            assert [setup.watchdogs for setup in setups] == [watchdogs] * 3
+        start, path = device.read(clock.now_s()).position, np.radians((3.0, -2.0, 1.0))
+        for k in range(76):
+            device.send(start + k / 75.0 * path, path / (75 * GRID_S) * (k < 75), clock.now_s())
+            clock.sleep(GRID_S)
+            assert np.degrees(np.abs(device.read(clock.now_s()).position - start - k / 75.0 * path).max()) < 0.3
+        rates = np.degrees(device.read(clock.now_s()).rate)
+        assert np.abs(rates - np.degrees(path / 1.5)).max() < 2.5
+        eventually(clock, lambda: np.allclose(emulator.gimbals.position, start + path, atol=2e-3))
 
 
 @pytest.mark.parametrize("seconds", [2.0, pytest.param(60.0, marks=[pytest.mark.slow, pytest.mark.timeout(600)])])

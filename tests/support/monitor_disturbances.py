@@ -21,7 +21,7 @@ from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]
 FRAMES = 10
-EXACT = CameraTolerances(focal_fraction=0.0, aspect_fraction=0.0, principal_point_px=0.0, distortion_px=0.0)
+EXACT = CameraTolerances.model_validate(dict.fromkeys(CameraTolerances.model_fields, 0.0))
 GROSS_DEG, GROSS_SHARE, GROSS_SIGMAS = 3.0, 0.01, 4.0
 
 
@@ -261,5 +261,25 @@ MONITOR_ROWS = (
         expected=_NO_ROLL,
     ),
     MonitorRow("ship without boxes, roll stated", _always(), boxes=False),
+    *(
+        MonitorRow(f"gamma {gamma:g}, default tolerances", _always(gamma=gamma), CameraTolerances(), expected=_SAME)
+        for gamma in (0.4, 0.6, 1.6, 2.5)
+    ),
+    MonitorRow("S-curve, default tolerances", _always(s_curve=0.8), CameraTolerances(), expected=_SAME),
+    MonitorRow("logarithm, default tolerances", _always(log_curve=10.0), CameraTolerances(), expected=_SAME),
+    *(
+        MonitorRow(f"noise of {noise:g} levels, parts displaced by 0.03 px", _always(noise_levels=noise, parts_px=0.03),
+            CameraTolerances(), expected=_SAME)
+        for noise in (0.5, 1.0, 2.0, 10.0)
+    ),
+    MonitorRow("noise of 20 levels", _always(noise_levels=20.0), CameraTolerances(), expected=_SAME),
+    MonitorRow(
+        "focal length drifts by 0.06 % per s, stated", _normal(f_drift=6e-4),
+        _stated(focal_drift_per_s=6e-4, focal_fraction=1e-3), expected=_SAME
+    ),
+    MonitorRow(
+        "aspect 1 %, not stated", _always(aspect=0.01), CameraTolerances(),
+        expected=Expectation(refused=("rejected_camera",)),
+    ),
     MonitorRow("television film", _film, _FILM, said_fields="upper_first"),
 )  # fmt: skip

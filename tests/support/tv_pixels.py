@@ -24,6 +24,7 @@ FINE = 8
 _TURNS = 5  # the lattice's generator
 _FINER = (89, 55)  # samples and generator of the finer one
 _COARSE = 4  # rows and columns of a plain grid
+_PARTS = 32
 _KEPT = 20  # of a portion with fields
 _LAST: dict[tuple[str, TvCamera, tuple[float, ...]], Array] = {}
 """Light of the last exposures: monitors with several scene files see the same images."""
@@ -38,7 +39,9 @@ class TvCamera:
     first, the other half a period later. shadow: depth of one at the cross, 0..1. plate_behind_m: of the plate
     behind the disc. coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which
     displaces edges by about 0.02 px. finer: eleven times as many samples, for long straight edges, which the usual ones
-    displace by about 0.003 px.
+    displace by about 0.003 px. f_drift: change of the focal length per second, relative. parts_px: 1 sigma of the
+    displacement of each part in each frame, as by a renderer that rounds coordinates. log_curve: strength of a
+    logarithmic tone curve.
     """
 
     f_share: float = 0.0
@@ -55,6 +58,9 @@ class TvCamera:
     finer: bool = False
     blur_px: float = 0.8
     noise_levels: float = 2.0
+    f_drift: float = 0.0
+    parts_px: float = 0.0
+    log_curve: float = 0.0
 
 
 class TvTarget:
@@ -62,15 +68,19 @@ class TvTarget:
 
     def __init__(self, scene: Scene, camera: TvCamera) -> None:
         self._scene, self._camera = scene, camera
+        self._t_s, self._off = 0.0, np.zeros((_PARTS, 2))
         self._seen = scene.camera.model_dump_json(exclude={"tolerances"}) + scene.target.model_dump_json()
 
     def frame(self, pose_at: Callable[[float], tuple[Array, Array]], t_s: float, rng: np.random.Generator) -> Image:
         """Return the image of the exposure at ``t_s``; pose_at returns d (3,), m, and phi (3,), rad."""
+        self._t_s = t_s
+        if self._camera.parts_px:
+            self._off = self._camera.parts_px * rng.standard_normal(self._off.shape)
         shaken = self._camera.jitter_px / self._scene.camera.f * np.append(rng.standard_normal(2), 0.0)
 
         def light_at(t: float) -> Array:
             d, phi = pose_at(t)
-            at = tuple(map(float, (*d, *(phi + shaken))))
+            at = (*map(float, (*d, *(phi + shaken), *self._off.flat)), self._camera.f_drift * t_s)
             if (found := _LAST.get(key := (self._seen, self._camera, at))) is None:
                 found = _LAST[key] = self._light(d, phi + shaken)
                 if len(_LAST) > _KEPT:
@@ -87,6 +97,8 @@ class TvTarget:
     def _sensor(self, light: Array, rng: np.random.Generator) -> Image:
         camera = self._camera
         level = np.clip(light * camera.gain / 255.0, 0.0, 1.0) ** camera.gamma
+        if camera.log_curve:
+            level = np.log1p(camera.log_curve * level) / np.log1p(camera.log_curve)
         level = (1.0 - camera.s_curve) * level + camera.s_curve * level * level * (3.0 - 2.0 * level)
         levels = 255.0 * level + camera.noise_levels * rng.standard_normal(level.shape)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
@@ -115,7 +127,8 @@ class TvTarget:
     def _levels(self, u: Array, v: Array, d: Array, phi: Array) -> Array:
         """Return the grey levels that the rays of pixels see, nearest plane first."""
         known, camera, target = self._scene.camera, self._camera, self._scene.target
-        f = known.f * (1.0 + camera.f_share)
+        f = known.f * (1.0 + camera.f_share) * (1.0 + camera.f_drift * self._t_s)
+        parts = iter(self._off)
         a, b = (u - known.cx) / f, -(v - known.cy) / (f * (1.0 + camera.aspect))
         x, y = a, b
         for _ in range(4 if camera.distortion else 0):
@@ -127,7 +140,8 @@ class TvTarget:
 
         def plane(offset: float) -> tuple[Array, Array]:
             reach = (offset - d[2]) / ray[2]
-            return d[0] + reach * ray[0], d[1] + reach * ray[1]
+            du, dv = next(parts)
+            return d[0] + reach * (ray[0] + du / f), d[1] + reach * (ray[1] + dv / f)
 
         def paint(where: npt.NDArray[np.bool_], grey: float) -> None:
             level[where] = grey

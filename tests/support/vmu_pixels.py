@@ -74,7 +74,9 @@ class PixelOptics:
 class PixelScene:
     """Two real cameras and a real ring; extra: (n, 4) lights in space of the ring, with brightness relative to an LED.
 
-    glare: for each camera lights of this image only, rows of u, v, brightness.
+    glare: for each camera lights of this image only, rows of u, v, brightness. backdrop: for each camera levels behind
+    all, (h, w), and the fraction (h, w) of all light that reaches the sensor. ghost: for each camera the fraction of a
+    light that the lens reflects, its place relative to the centre of the image, and that centre, u and v, px.
     """
 
     left: PixelCamera
@@ -83,6 +85,8 @@ class PixelScene:
     optics: PixelOptics = field(default_factory=PixelOptics)
     lights_v: Array = field(default_factory=lambda: np.zeros((0, 4)))
     glare: tuple[Array, Array] = field(default_factory=lambda: (np.zeros((0, 3)), np.zeros((0, 3))))
+    backdrop: tuple[tuple[Array, Array], ...] = ()
+    ghost: tuple[tuple[float, ...], ...] = ()
 
     def pair(self, turn: Array, t_v: Array, rng: np.random.Generator) -> tuple[Image, Image]:
         """Return both images of the ring at ``p_v = exp([turn]x) p_t + t_v``."""
@@ -98,15 +102,20 @@ class PixelScene:
         total = optics.peak_levels * spread
         rotation = Rotation.from_rotvec(turn)
         disc = _sunflower(0.5 * optics.led_diameter_m)
-        for led in self.leds_m:
-            points = rotation.apply(led + np.column_stack([disc, np.zeros(len(disc))])) + t_v
-            _add_light(light, camera, optics, camera.pixels(points), total)
-        for row in self.lights_v:
-            points = row[:3] + np.column_stack([disc, np.zeros(len(disc))])
-            _add_light(light, camera, optics, camera.pixels(points), total * row[3])
+        flat = np.column_stack([disc, np.zeros(len(disc))])
+        lights = [(camera.pixels(rotation.apply(led + flat) + t_v), total) for led in self.leds_m]
+        lights += [(camera.pixels(row[:3] + flat), total * row[3]) for row in self.lights_v]
+        if self.ghost:
+            part, scale, *centre = self.ghost[side]
+            lights += [(centre + scale * (pixels - centre), part * levels) for pixels, levels in lights]
+        for pixels, levels in lights:
+            _add_light(light, camera, optics, pixels, levels)
         for row in self.glare[side]:
             _add_light(light, camera, optics, row[None, :2] + 0.4 * rng.standard_normal((4, 2)), total * row[2])
         light += optics.background_levels + _texture(light.shape, optics.texture_levels, rng)
+        if self.backdrop:
+            behind, seen = self.backdrop[side]
+            light = (light + behind) * seen
         light = np.maximum(light, 0.0)
         variance = light / optics.electrons_per_level + optics.read_noise_levels**2  # of a thousand electrons and more
         levels = light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32)

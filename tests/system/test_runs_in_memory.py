@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hil
 from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.params.ready import ROW_NAMES
@@ -75,10 +76,11 @@ def test_json_holds_the_keys_that_others_read(runs: Any) -> None:
     assert set(result["timing"]["lateness_us"]) == {"p50", "p99", "p999", "max"}
 
 
-def test_navigation_of_the_fused_schemes_sits_near_its_bound(runs: Any) -> None:
-    navigation = runs["scheme-1"][1]["navigation"]
+def test_navigation_without_an_error_budget_sits_near_its_bound() -> None:
+    navigation = hil.run("scheme-1-paper", seed=2).summary["navigation"]
     ratio = np.array(navigation["position_rmse_m"]) / np.array(navigation["position_bound_m"])
     assert np.all(ratio < 1.5)
+    assert max(navigation["attitude_rmse_deg"]) < 0.002
 
 
 def test_same_seed_gives_the_same_run_bit_for_bit() -> None:

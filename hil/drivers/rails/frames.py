@@ -28,7 +28,7 @@ Counters = dict[str, int]
 
 def new_counters() -> Counters:
     """Return the counters of the wires of one driver, all zero."""
-    return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0, "other_unit": 0}
+    return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,8 @@ class ResponseMatcher:
         for raw in frames:
             frame = parse(raw, self.tcp)
             if self.expect is not None and self.expect.is_answered_by(frame, any_unit=self.tcp):
-                self.counters["other_unit"] += frame.device_id != self.expect.device_id
+                if frame.device_id != self.expect.device_id:
+                    self.counters["other_unit"] = self.counters.get("other_unit", 0) + 1
                 answer = self._last = replace(frame, device_id=self.expect.device_id)
                 self.expect = None
             else:

@@ -109,7 +109,9 @@ class EmulatedCia402Drive:
             return []
         pdo.unpack(data)
         if identifier == codec.RPDO1_ID + self.node_id:
-            self._fresh_target = True
+            self._fresh_target = pdo.transmission <= _SYNCHRONOUS_MAX
+            if not self._fresh_target and self.state is DriveState.ENABLED:
+                self._motion.on_sync(now_s)
         else:
             self._control(now_s)
         return self.status(now_s)

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import File, Group, Output, within
-from hil.cli.output import write_json
+from hil.cli.output import commonest, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.files import create
 from hil.errors import BadInput
@@ -26,8 +26,15 @@ if TYPE_CHECKING:
     from hil.config.scene import Scene
     from hil.parts.monitor.region import Region
     from hil.parts.monitor.results import FrameResult, Portion
+    from hil.parts.monitor.sources import Source
 
 _PASSED = 0
+_REMEDIES = {
+    "rejected_motion": "the frames contradict a uniform motion: images lost or cut, or fps is not theirs",
+    "rejected_displaced": "the image jumps: vertical synchronisation lost, or a shaken camera",
+    "rejected_fields": "state fields in the scene",
+    "ambiguous": "another roll of the ship fits as well: state roll_max_deg",
+}
 
 
 @dataclass(frozen=True)
@@ -98,7 +105,7 @@ def monitor(
         each = stack.enter_context(_CsvFile(frames, _FRAME_COLUMNS)) if frames is not None else None
         painter = stack.enter_context(_painter(screen, loaded.value, source.name)) if screen is not None else None
         bar = stack.enter_context(ProgressBar(console, "compiling the kernels that are not cached"))
-        watched = DockingMonitor(loaded.value, settings)
+        watched = DockingMonitor(source.scene, settings)
         for frame, look, done in process_frames(watched, source):
             looks.append(look)
             if each is not None:
@@ -110,11 +117,18 @@ def monitor(
                 table.write(_row(portion))
             if source.image_count:
                 bar.show("frames", min(len(looks) / source.image_count, 1.0))
-    summary = _summary(portions, looks) | {"warning": watched.warning}
+    summary = _summary(portions, looks) | {"warning": watched.warning, "rate": _rate_of(source)}
     write_json(summary, json)
     if json != "-" and out != "-":
         _render(summary, portions, Console())
     return _PASSED
+
+
+def _rate_of(source: Source) -> str:
+    """Return on what the times of the frames, and with them all rates, rest."""
+    if source.stamped:
+        return source.note or "times of the images by the file or by their arrival"
+    return f"rates rest on {source.scene.fps:g} images per second, fps of the scene: the images have no times"
 
 
 def _region(roi: str | None, scene: Scene) -> Region | None:
@@ -236,6 +250,8 @@ def _summary(portions: list[Any], looks: list[FrameResult]) -> dict[str, Any]:
         "frames_used": sum(look.used for look in looks),
         "frames_by_status": dict(Counter(look.status for look in looks)),
         "rejected": dict(Counter(look.reason for look in looks if not look.used)),
+        "refused": commonest((look.status, look.reason) for look in looks if not look.used)
+        + commonest((p.status, _REMEDIES.get(p.status, "")) for p in portions if p.status in _REMEDIES),
         "portions": len(portions),
         "portions_by_status": dict(Counter(portion.status for portion in portions)),
         "inconsistent_portions": sum(p.frames > 0 and not p.consistent for p in portions),
@@ -273,5 +289,5 @@ def _render(summary: dict[str, Any], portions: list[Any], console: Console) -> N
     console.print(rows)
     if summary["warning"]:
         console.print(f"Warning: {summary['warning']}", highlight=False)
-    for reason, count in summary["rejected"].items():
-        console.print(f"{count} frames not used: {reason}", highlight=False)
+    for line in (*summary["refused"], summary["rate"]):
+        console.print(line, highlight=False)

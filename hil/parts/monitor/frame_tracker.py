@@ -33,6 +33,7 @@ _SEARCH_REACHES_PX: Final = (3.0, 6.0, 12.0)
 _FEWEST_AGREEING: Final = 12
 _MOST_AGREE: Final = 0.7  # fraction of the edges
 _TRIED: Final = 5  # hypotheses per frame
+_USUAL_NOISE: Final = 9.0  # variance of a pixel, at first and at least
 _MARGIN_PX: Final = 24.0
 _TURNS: Final = np.array([0.5, 1.0, 1.5]) * math.pi  # in which a cross looks the same
 
@@ -45,7 +46,7 @@ class FrameTracker:
         self._features = target_features(scene.camera, scene.chosen(settings.target))
         self._detector = TargetDetector(self._features)
         self._tuning = settings.tuning(scene.camera)
-        self._sigmas = np.array(settings.camera_sigmas(scene.camera))
+        self._sigmas, self._tolerances = np.array(settings.camera_sigmas(scene.camera)), scene.camera.tolerances
         self._samples = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE)
         self._left, self._normal, self._sums = np.zeros(_MOST_SAMPLES), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         self._state = _fresh_camera()
@@ -135,7 +136,7 @@ class FrameTracker:
         results: list[FrameResult] = []
         guesses = self._detector.hypotheses(prepared, shifted, float(frame.first_line), float(frame.line_step))
         for guess in guesses[:_TRIED]:
-            self._state = _fresh_camera()
+            self._state = _fresh_camera(patch)
             x = guess.pose.copy()
             if not self._align(frame, x, _SEARCH_REACHES_PX):
                 continue
@@ -197,9 +198,11 @@ class FrameTracker:
             self._normal, self._sums,
         )  # fmt: skip
         if status != measure.MEASURED:
-            return self._no_result(frame, "rejected_measurement", "too few edges")
-        if validation.is_implausible(x, self._sigmas):
+            return self._no_result(frame, "rejected_measurement", "too few edges: contrast, noise, or a part is hidden")
+        if validation.is_implausible(x):
             return self._no_result(frame, "rejected_pose", "pose out of bounds")
+        if why := validation.camera_contradiction(x, self._tolerances):
+            return self._no_result(frame, "rejected_camera", why)
         samples = self._samples[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
         verdict = validation.Validation(model, samples, self._left[:count], noise)
@@ -316,8 +319,12 @@ class FrameTracker:
         return FrameResult(detection, reason, nothing, np.zeros((UNKNOWNS, UNKNOWNS)), zeros, np.zeros(4), False)
 
 
-def _fresh_camera() -> Any:
-    """Return the assumed state of a camera before its first frame."""
+def _fresh_camera(image: Image | None = None) -> Any:
+    """Return the assumed state of a camera before its first frame; of one with much noise by its image."""
     state = np.zeros(1, measure.CAMERA_STATE)[0]
-    state["blur"], state["noise_0"] = 1.0, 9.0
+    state["blur"], state["noise_0"] = 1.0, _USUAL_NOISE
+    if image is not None:
+        lines = image[::4].astype(np.float32)
+        bends = np.abs(lines[:, 2:] - 2.0 * lines[:, 1:-1] + lines[:, :-2])  # of a variance of six pixels
+        state["noise_0"] = max(_USUAL_NOISE, float(np.median(bends) / 0.6745) ** 2 / 6.0)
     return state

@@ -136,9 +136,7 @@ class DockingMonitor:
             return _nothing([_unsuited(result, self.warning) for result in frames], t_s)
         self._used_s = used[-1].detection.t_s
         self._tracker.expect(fit.motion)
-        late = np.zeros(12)
-        late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
-        covariance = fit.motion.covariance + np.outer(late, late)
+        covariance = fit.motion.covariance + self._by_time_and_focus(fit.motion.w)
         if 2 * sum(result.roll_open for result in used) > len(used):
             status = AMBIGUOUS
         portion = _result(frames, fit, status, covariance)
@@ -152,10 +150,18 @@ class DockingMonitor:
         wrong = {id(result) for result, off in zip(used, displaced(used, self.scene.camera.f), strict=True) if off}
         return [_unsuited(one, DISPLACED, REJECTED_DISPLACED) if id(one) in wrong else one for one in frames]
 
+    def _by_time_and_focus(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance (12, 12) of the motion ``w`` by errors of the images' times and rate and by zoom."""
+        stated, errors = self.scene.camera.tolerances, np.zeros((3, 12))
+        errors[0, 0::2] = (0.5 / self.scene.fps if stated.time_s is None else stated.time_s) * w[1::2]
+        errors[1, 1::2] = stated.rate_fraction * w[1::2]
+        errors[2, 1:6:2] = stated.focal_drift_per_s * w[0:6:2]
+        return errors.T @ errors
+
     @property
     def _fields_are_stated(self) -> bool:
         """Whether the scene's tolerance of time has what the fields do: half of their distance in time."""
-        return self.scene.camera.tolerances.time_s >= 0.25 / self.scene.fps * (1.0 - 1e-9)
+        return (self.scene.camera.tolerances.time_s or 0.0) >= 0.25 / self.scene.fps * (1.0 - 1e-9)
 
 
 def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:

@@ -46,6 +46,7 @@ _FEWEST: Final = 4  # frames of which others are left out, and that are kept
 _CONTRADICTION: Final = 30.0  # scatter that nothing explains, thrusters included: no motion
 _SIGNIFICANT: Final = 3.0
 _MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
+_MODEL_PX: Final = 0.0055  # scatter of frames by the edges' model, which differs with their places in the pixels
 _JITTERS_PX: Final = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
 _BETTER: Final = 12.0  # gain in twice the log-likelihood: about the number of explanations tried
 _TIMING: Final = 24.0  # the same, of images lost at up to two places
@@ -119,7 +120,7 @@ class _Carried:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Solution of a hypothesis. squares: of each frame about the motion, scatter: their mean relative to the noise.
+    """Solution of a hypothesis. squares: of each frame about the motion, scatter: their mean over noise and model.
 
     cost: -2 ln of its likelihood.
     """
@@ -288,15 +289,17 @@ class MotionFit:
             for frame, pose, normal, rows in zip(frames, fixed, normals, designs, strict=True)
         ])  # fmt: skip
         motion2, doubt = _motion_square(squares)
-        scattered = motion2 > edges2 * (1.0 + _SIGNIFICANT * doubt)
-        widened = motion2 / edges2 if scattered else 1.0
+        widened = motion2 / edges2 if motion2 > edges2 * (1.0 + _SIGNIFICANT * doubt) else 1.0
         noise = edges2 if excess == 0.0 else 1.0
+        model_px = _MODEL_PX if jitter == 0.0 else 0.0
+        floor = 1.0 + model_px**2 * _image_information(frames, self._focal_px)
+        scattered = widened > floor * (1.0 + _SIGNIFICANT * doubt)
         factor = noise * widened + len(frames) * excess
         covariance = inverse @ (prior @ true @ prior + held + factor * information) @ inverse
         by_lens = inverse @ (prior @ self._carried_by_lens(t_s) + information[:, _LENS])
         reported = covariance + by_lens @ self._camera[FOCAL - GROWTH :, FOCAL - GROWTH :] @ by_lens.T
         normal12 = _inverse(inverse[:12, :12])
-        consistent = edges2 < 2.0 and excess == 0.0 and not scattered and not chosen.timing
+        consistent = edges2 < 2.0 and excess == 0.0 and widened == 1.0 and not chosen.timing
         solution = MotionSolution(
             Motion(t_s, theta[:12].copy(), normal12, reported[:12, :12].copy()),
             len(frames), edges2, common, motion2, consistent, chosen.jitter_px, chosen.timing,
@@ -310,7 +313,8 @@ class MotionFit:
         scale = np.sqrt(np.diag(total))
         determinant = 2.0 * float(np.log(scale).sum()) + float(np.linalg.slogdet(total / np.outer(scale, scale))[1])
         cost = float(squares.sum()) / noise + spread + determinant
-        return _Fit(solution, carried, squares, float(np.nan_to_num(motion2 / noise, nan=1.0)), cost, scattered)
+        scatter = float(np.nan_to_num(motion2 / (noise * floor), nan=1.0))
+        return _Fit(solution, carried, squares, scatter, cost, scattered)
 
     def _carried_by_lens(self, t_s: float) -> Floats:
         """Return the errors (27, 5) of the carried motion at ``t_s`` by one unit of each error of the lens."""
@@ -401,6 +405,11 @@ def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
     )
     largest = max(points, common) if free_edges >= 3.0 else points
     return points, common, largest - 1.0 if any(too_large) else 0.0
+
+
+def _image_information(frames: Sequence[FrameResult], focal_px: float) -> float:
+    """Return the information, px^-2, of a frame's edges on the displacement of its image, the mean of the frames."""
+    return float(np.mean([0.5 * (frame.normal[3, 3] + frame.normal[4, 4]) for frame in frames])) / focal_px**2
 
 
 def _with_stated_lens(frame: FrameResult) -> Floats:

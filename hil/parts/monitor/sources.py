@@ -38,6 +38,7 @@ LOWER: Final = 2  # lines 1, 3, 5 ...
 _IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
 _RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
+_SAME_RATE: Final = 5e-4  # relative: a file with another rate has its own times
 _UNEVEN: Final = 0.25  # image periods by which the time of an image may be off its place
 
 
@@ -78,12 +79,19 @@ def exposure(scene: Scene, number: int) -> tuple[float, int]:
 
 
 class Source:
-    """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known."""
+    """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known.
 
-    def __init__(self, name: str, scene: Scene, images: Iterator[NumberedImage], count: int | None) -> None:
+    scene: with the rate of the images if the file states another one, which is then in ``note``. stamped: whether times
+    are those of the file or of their arrival; else they rest on the scene's rate.
+    """
+
+    def __init__(
+        self, name: str, scene: Scene, images: Iterator[NumberedImage], count: int | None, stamped: bool = True,
+        note: str = "",
+    ) -> None:  # fmt: skip
         self.name = name
         self.image_count = count
-        self._scene = scene
+        self.scene, self.stamped, self.note = scene, stamped, note
         self._pictures = images
         self._first: NumberedImage | None = next(images)  # an invalid source raises when it is opened
 
@@ -97,7 +105,7 @@ class Source:
     def _frames(self, first: NumberedImage) -> Iterator[VideoFrame]:
         numbered: NumberedImage | None = first
         while numbered is not None:
-            yield from _exposures(*numbered, self._scene)
+            yield from _exposures(*numbered, self.scene)
             numbered = next(self._pictures, None)
 
 
@@ -153,7 +161,11 @@ def _video(path: Path, scene: Loaded[Scene]) -> Source:
     if video.rate_hz is not None and abs(video.rate_hz - expected) > _RATE_TOLERANCE * expected:
         text = f"{video.rate_hz:g} images per second: must be {expected:g}, fps of {scene.source}"
         raise BadInput.single(str(path), "image rate", text)
-    return Source(str(path), scene.value, _video_images(video, scene), video.count)
+    note = ""
+    if video.rate_hz is not None and abs(video.rate_hz - expected) > _SAME_RATE * expected:
+        note = f"{video.rate_hz:.6g} images per second by the file, which count; fps of {scene.source} is {expected:g}"
+        scene = replace(scene, value=scene.value.model_copy(update={"fps": video.rate_hz}))
+    return Source(str(path), scene.value, _video_images(video, scene), video.count, note=note)
 
 
 def _video_images(video: Video, scene: Loaded[Scene]) -> Iterator[NumberedImage]:
@@ -193,7 +205,7 @@ def _folder(path: Path, scene: Loaded[Scene]) -> Source:
         raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(_IMAGES))}")
     slots = _slots(files)
     ordered = sorted(zip(slots, files, strict=True))
-    return Source(str(path), scene.value, _folder_images(ordered, scene), len(files))
+    return Source(str(path), scene.value, _folder_images(ordered, scene), len(files), stamped=False)
 
 
 def _slots(files: list[Path]) -> list[int]:

@@ -10,9 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.config.scene import CameraTolerances
 from hil.parts.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, TargetFeatures
 from hil.parts.monitor.kernels.edge_samples import ARCS, SIDES
-from hil.parts.monitor.kernels.pose import GROWTH
+from hil.parts.monitor.kernels.pose import ASPECT, DISTORTION, FOCAL, GROWTH, POINT_U, TONE
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,13 @@ _LARGEST_PASSIVE: Final = 0.4
 _FARTHEST_M: Final = 500.0
 _LARGEST_GROWTH_PX: Final = 0.5
 _CAMERA_SIGMAS: Final = 5.0
+_UNKNOWNS: Final = (  # of the camera: first and number of them, tolerance, unit and scale
+    (TONE, 3, "tone_px", "px", 1.0),
+    (FOCAL, 1, "focal_fraction", "%", 100.0),
+    (ASPECT, 1, "aspect_fraction", "%", 100.0),
+    (POINT_U, 2, "principal_point_px", "px", 1.0),
+    (DISTORTION, 1, "distortion_px", "px", 1.0),
+)
 _LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
 _TURNED_PX: Final = 5.0  # displacement of an edge by a turn of the ship that shows
 _FEWEST_TURNED: Final = 8  # samples of such edges
@@ -91,16 +99,29 @@ def excluded_turns(
     return out
 
 
-def is_implausible(x: Floats, sigmas: Floats) -> bool:
-    """Return whether the pose (15,) is outside the range of an approach; sigmas: (9,), of the camera."""
+def is_implausible(x: Floats) -> bool:
+    """Return whether the pose (15,) is outside the range of an approach."""
     return (
         not np.all(np.isfinite(x))
         or not 0.05 < x[2] < _FARTHEST_M
         or bool(np.any(np.abs(x[3:6]) > _LARGEST_ANGLE))
         or max(abs(x[0]), abs(x[1])) > _LARGEST_PASSIVE * x[2]
-        or abs(x[GROWTH]) > _LARGEST_GROWTH_PX
-        or bool(np.any(np.abs(x[GROWTH + 1 :]) > _CAMERA_SIGMAS * sigmas[1:]))
     )
+
+
+def camera_contradiction(x: Floats, tolerances: CameraTolerances) -> str:
+    """Return what the pose (15,) finds of the camera beyond its tolerances, and what to do; "" if it fits."""
+    if abs(x[GROWTH]) > _LARGEST_GROWTH_PX:
+        return f"edges grow by {x[GROWTH]:+.1f} px, allowed {_LARGEST_GROWTH_PX:g}: focus, or overexposed"
+    worst, text = 1.0, ""
+    for first, count, key, unit, scale in _UNKNOWNS:
+        sigma = getattr(tolerances, key)
+        value = x[np.arange(first, first + count)][np.argmax(np.abs(x[first : first + count]))]
+        if sigma > 0.0 and (ratio := abs(value) / (_CAMERA_SIGMAS * sigma)) > worst:
+            worst, allowed = ratio, _CAMERA_SIGMAS * sigma
+            name = key.rpartition("_")[0].replace("_", " ")
+            text = f"{name} {scale * value:+.2g} {unit}, allowed {scale * allowed:.2g}: state {key}, or calibrate"
+    return text
 
 
 def near_rejection(features: TargetFeatures, verdict: Validation, labels: Floats, noise: float) -> str:

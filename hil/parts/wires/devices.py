@@ -46,7 +46,7 @@ def wired_checks(scenario: Scenario, rig: Rig, clock: WallClock, enable_drives: 
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of the devices, with the safety chain closed for enabled ones."""
-    drivers = make_drivers(rig, clock)
+    drivers = make_drivers(rig, clock, scenario.step_s / rig.ticks(scenario.step_s))
     if rig.io is None or not rig.has_io:
         return device_checks(drivers, rig, clock, enable_drives)
     if not enable_drives:
@@ -111,7 +111,7 @@ def _axes(group: AxisGroup, unit: str, clock: WallClock, promised_hz: float) -> 
         group.close()
 
     checked = _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
-    return [checked, *(PreflightCheck(f"drives of {group.name}", None, fact) for fact in facts)]
+    return [checked, *(PreflightCheck(f"drives of {group.name}", True, fact) for fact in facts)]
 
 
 def _exchange_rate(group: AxisGroup, clock: WallClock, promised_hz: float) -> str:

@@ -132,10 +132,11 @@ def wired_bench(
     of the loop; None: in real time. open_wires: gives the wires; None: those of the rig file. Raises DeviceError if a
     process does not start.
     """
+    step_s = job.scenario.value.step_s
     with (
         timed or in_real_time(job, announce) as (clock, scheduling),
         (open_wires or _locked)(job, clock, announce, sinks) as wires,
-        IoProcesses(wires.rig, clock, wires.server, job.scenario.value.step_s) as io,
+        IoProcesses(wires.rig, clock, wires.server, step_s / wires.rig.ticks(step_s)) as io,
         telemetry_ring(sinks) as telemetry,
     ):
         for line in compatibility.driver_warnings(job.rig.value):

@@ -32,7 +32,7 @@ LEAST_VIEWS: Final = 8
 _FAR: Final = 3.0  # times the median residual of a view
 _FEW: Final = 15
 _TILTED_RAD: Final = np.radians(15.0)
-_IMAGE: Final = re.compile(r"\.(png|bmp|tif|tiff|pgm)$", re.IGNORECASE)
+_IMAGE: Final = re.compile(r"\.(png|bmp|tif|tiff|pgm|jpg|jpeg)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,19 +139,10 @@ def halves(solution: CalibrationSolution, held: Prior, range_m: float) -> Halves
     change[SCALE] = 0.0  # the board's, in both
     both = fits[0].covariance + fits[1].covariance
     across, depth = quality.displacement(setup, change, range_m)
-    expected = quality.at_range(setup, _without_scale(both), 0.0, range_m)
+    expected = quality.at_range(setup, quality.without_scale(both), 0.0, range_m)
     if expected is None:
         return None
     return Halves(across, depth, expected.calibration_across_mm, expected.calibration_depth_mm, range_m)
-
-
-def _without_scale(covariance: Array) -> Array:
-    """Return ``covariance`` for a known size of the board."""
-    if covariance[SCALE, SCALE] <= 0.0:
-        return covariance
-    column = covariance[:, SCALE]
-    reduced: Array = covariance - np.outer(column, column) / covariance[SCALE, SCALE]
-    return reduced
 
 
 def warnings_of(solution: CalibrationSolution, shares: list[float]) -> list[str]:

@@ -137,8 +137,7 @@ def calibrate(
         begun, resolved, doubtful = boards.start(observed, given.board, nominal, turntable, given.keep, guess)
         held = weak_prior(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(resolved, begun, turntable, held, doubtful)
-        not_whole = (name for name in views.names if name not in observed.names)
-        solved.left_out.update(dict.fromkeys(not_whole, "the board is not completely visible to both cameras"))
+        solved.left_out.update(_not_whole(views, observed))
     return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
 
 
@@ -162,13 +161,15 @@ def calibrate_hand_held(
         solved, held = led_layout.solve(hand_held.read_pairs(folder), geometry, ring, given.led_sigma, progress)
         outcome = _outcome(label, solved, hand_held.TURNTABLE, held, ring, limits, False)
         return replace(outcome, warnings=hand_held.warnings_of(solved, [1.0, 1.0]), checks=outcome.checks[:1])
-    observed, sizes = boards.observations(hand_held.read_pairs(folder), given.board, progress)
+    views = hand_held.read_pairs(folder)
+    observed, sizes = boards.observations(views, given.board, progress)
     nominal = Setup.of(geometry, rig.bench, given.board.points())
     if guess and (sizes != nominal.sizes).any():
         raise BadInput.single("VIEWS", "", _sizes_differ(sizes, nominal.sizes))
     nominal = replace(nominal, sizes=sizes)
     progress("fitting", 0.9)
     solved, held = hand_held.solve(observed, given.board, nominal, given.keep, given.square_sigma, guess)
+    solved.left_out.update(_not_whole(views, observed))
     outcome = _outcome(label, solved, hand_held.TURNTABLE, held, nominal, limits, False)
     halves = hand_held.halves(solved, held, limits.range_m)
     checks = list(outcome.checks)
@@ -177,6 +178,12 @@ def calibrate_hand_held(
             CalibrationCheck("difference of two halves of the views", halves.in_sigmas, _HALVES_SIGMAS, "sigma")
         )
     return replace(outcome, warnings=hand_held.warnings_of(solved, outcome.shares), halves=halves, checks=checks)
+
+
+def _not_whole(views: Views, observed: Observations) -> dict[str, str]:
+    """Return the views that do not show the board to both cameras, with the reason."""
+    names = (name for name in views.names if name not in observed.names)
+    return dict.fromkeys(names, "the board is not completely visible to both cameras")
 
 
 def _sizes_differ(actual: Array, expected: Array) -> str:
@@ -204,11 +211,14 @@ def _outcome(
         for range_m in sorted({*quality.RANGES_M, limits.range_m})
         if (accuracy := quality.at_range(fit.setup, fit.covariance, sigma, range_m)) is not None
     ]
-    here = next((accuracy for accuracy in at_ranges if accuracy.range_m == limits.range_m), None)
+    by_hand = label.target.startswith(HAND_HELD) and bool(held.free[SCALE])
+    covariance = quality.without_scale(fit.covariance) if by_hand else fit.covariance
+    here = quality.at_range(fit.setup, covariance, sigma, limits.range_m)
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
+    known = ", for a known size of the board" if by_hand else ""
     checks = [
         CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px", needed=True),
-        CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
+        CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma{known}", error, limits.error_mm, "mm"),
         CalibrationCheck(
             f"spot of an LED at {limits.range_m:g} m by the calibration, 1 sigma",
             quality.spot_error_px(fit.setup, fit.covariance, limits.range_m),

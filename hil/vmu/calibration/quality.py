@@ -85,6 +85,15 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
     return RangeAccuracy(range_m, *spread)
 
 
+def without_scale(covariance: Array) -> Array:
+    """Return ``covariance`` for a known size of the board."""
+    if covariance[SCALE, SCALE] <= 0.0:
+        return covariance
+    column = covariance[:, SCALE]
+    reduced: Array = covariance - np.outer(column, column) / covariance[SCALE, SCALE]
+    return reduced
+
+
 def spot_error_px(setup: Setup, covariance: Array, range_m: float) -> float:
     """Return the standard deviation of a point's pixel, px, by the calibration of its camera; the worse camera's.
 

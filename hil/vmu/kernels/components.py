@@ -21,6 +21,8 @@ CLIPPED = 6  # pixels at full scale
 COMPONENT_WIDTH = 7
 
 BAD = -1  # label of a defective pixel
+LARGE = -2  # label of a pixel of a component that is too large for a light
+LEFT = -3  # label of one that remains so by the lines of the present length
 _APART = 24  # px, half the extent over which a texture is assessed
 _TEXTURE = 2.0  # variance of the sums relative to that of noise, above which the background has a texture
 
@@ -30,7 +32,8 @@ class Frame(NamedTuple):
 
     image: (h, w), uint8. label: (h, w), int16, number of each pixel's component, all zero before and after. queue:
     (h * w,), int32, scratch. limits: LIMITS. per_level: variance of a pixel per level of light. last: SPOT of the image
-    before, whose discs are where the fits of discs begin; or none.
+    before, whose discs are where the fits of discs begin; or none. work: (1,), products that the fits
+    may still cost.
     """
 
     image: npt.NDArray[np.uint8]
@@ -39,6 +42,7 @@ class Frame(NamedTuple):
     limits: np.void
     per_level: float
     last: np.ndarray
+    work: npt.NDArray[np.float64]
 
 
 class LightComponent(NamedTuple):
@@ -244,10 +248,12 @@ def collect_hits(image, v, u0, u1, scan):
 
 
 @kernel
-def flood(image, label, name, start, threshold, queue, first, component):
-    """Label all pixels connected to ``start`` whose sums exceed ``threshold``; write their record to ``component``.
+def flood(image, label, name, start, limit, shift, most, queue, first, component):
+    """Label all pixels connected to ``start`` whose sums exceed the threshold; write their record to ``component``.
 
-    queue: (n,), pixel indices (v * width + u), filled from ``first`` on. Return its new end, or -1 if full.
+    limit: threshold of each block of 2**shift x 2**shift pixels. Pixels of other lights, and those LEFT, are none of
+    it. queue: (n,), pixel indices (v * width + u), filled from ``first`` on. Return its new end, or -1 if the component
+    has more than ``most`` pixels, or the queue is full.
     """
     rows, columns = image.shape
     component[FIRST] = first
@@ -266,10 +272,10 @@ def flood(image, label, name, start, threshold, queue, first, component):
         for side in range(4):
             i = v + (1 if side == 0 else (-1 if side == 1 else 0))
             j = u + (1 if side == 2 else (-1 if side == 3 else 0))
-            if i < 1 or j < 1 or i >= rows - 1 or j >= columns - 1 or label[i, j] != 0:
+            if i < 1 or j < 1 or i >= rows - 1 or j >= columns - 1 or (label[i, j] != 0 and label[i, j] != LARGE):
                 continue
-            if sum_of_nine(image, j, i) > threshold:
-                if end >= queue.shape[0]:
+            if sum_of_nine(image, j, i) > limit[i >> shift, j >> shift]:
+                if end >= queue.shape[0] or end - first >= most:
                     return -1
                 label[i, j] = name
                 queue[end] = i * columns + j

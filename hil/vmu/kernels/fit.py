@@ -26,6 +26,7 @@ FLUX, U, V, SIGMA, WIDTH, SHEAR, HEIGHT = 0, 1, 2, 3, 4, 5, 6
 FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
+_WORK_OF_PIXEL = 20.0  # for its model, in products
 _DARK = 1e-10  # fraction of a light's flux: pixels with less have none
 
 
@@ -36,7 +37,8 @@ class LightFit(NamedTuple):
     covariance, and the standard deviation of both. box: u and v of the window's first pixel, and of the one after the
     last. pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel, else 1. dark: variance of a pixel
     without light. per_level: variance per level of light. model, light: (count,), image of the parameters with and
-    without background. slopes: (n, count), derivatives of the model.
+    without background. slopes: (n, count), derivatives of the model. work: (1,), products that fits may
+    still cost.
     """
 
     is_disc: bool
@@ -51,15 +53,16 @@ class LightFit(NamedTuple):
     model: Array
     light: Array
     slopes: Array
+    work: Array
 
 
 @kernel
-def light_fit(is_disc, p, box, dark, per_level):
+def light_fit(is_disc, p, box, dark, per_level, work):
     """Return a model of the parameters ``p`` in the window ``box``, whose pixels are not yet read."""
     n, count = p.shape[0], (box[2] - box[0]) * (box[3] - box[1])
     return LightFit(
         is_disc, p, np.zeros((n, n)), np.full(3, np.nan), box, np.empty(count), np.empty(count), dark, per_level,
-        np.empty(count), np.empty(count), np.empty((n, count)),
+        np.empty(count), np.empty(count), np.empty((n, count)), work,
     )  # fmt: skip
 
 
@@ -201,6 +204,7 @@ def dot(a, b):
 def gather(f, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance."""
     n, count = normal.shape[0], f.pixels.shape[0]
+    f.work[0] -= count * (0.5 * n * n + _WORK_OF_PIXEL)
     weight, gap, scaled = np.empty(count), np.empty(count), np.empty(count)
     total = 0.0
     for at in range(count):
@@ -252,6 +256,8 @@ def fit(f, most):
     _fill(f, f.p)
     total = gather(f, normal, right)
     for _ in range(most):
+        if f.work[0] < 0.0:
+            return np.nan
         if not cholesky.solve_damped(normal, damping, right, low, step, _LEAST_RESIDUE):
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e6:

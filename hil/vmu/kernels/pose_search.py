@@ -33,6 +33,7 @@ SEARCH = np.dtype(
         ("normal", "f8", 3),  # normal of the LEDs' best-fit plane, in t
         ("centre", "f8", 3),  # m, of the LEDs, in t
         ("level", "i8"),  # above 0: only hypotheses that explain this number of spots of one camera, or more
+        ("most_triples", "i8"),  # pairings of three spots with three LEDs that may be tried
         ("predicted", "i8"),  # 1: three spots of a single camera are valid near the following pose
         ("r", "f8", (3, 3)),
         ("t", "f8", 3),  # m
@@ -48,7 +49,6 @@ of one that passes its test without a floor."""
 STATE_WIDTH: Final = 6
 
 _MOST_STARTS = 400
-_MOST_TRIPLES = 20_000  # pairings of three spots with three LEDs: the time budget of an image pair
 _CLOSE_SCORE = 15.0  # within which a hypothesis without some of the spots is one of its own
 _SLACK = 2  # fits with up to this many spots fewer than the best are kept
 
@@ -159,7 +159,7 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
                     continue
                 if not (allowed[i, j, p, q] and allowed[i, k, p, s] and allowed[j, k, q, s]):
                     continue
-                if state[STATE_TRIPLES] >= _MOST_TRIPLES:
+                if state[STATE_TRIPLES] >= settings.most_triples:
                     state[STATE_FULL] = 1
                     return
                 state[STATE_TRIPLES] += 1

@@ -53,7 +53,7 @@ def widened(f):
     n, count = f.p.shape[0] + SHAPE_TERMS, f.pixels.shape[0]
     return LightFit(
         f.is_disc, f.p, np.zeros((n, n)), f.elongation, f.box, f.pixels, f.weighed, f.dark, f.per_level,
-        np.empty(count), f.light, np.empty((n, count)),
+        np.empty(count), f.light, np.empty((n, count)), f.work,
     )  # fmt: skip
 
 

@@ -13,10 +13,6 @@ from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
     FIRST,
-    U0,
-    U1,
-    V0,
-    V1,
     LightComponent,
     collect_hits,
     fill_background_grid,
@@ -25,16 +21,21 @@ from hil.vmu.kernels.components import (
     interpolate,
     level_and_variance,
     row_scan,
+    sum_of_nine,
 )
 from hil.vmu.kernels.measure import measure
+from hil.vmu.kernels.split import is_fringe, lights_of_steps, split_large
 
 TOO_MANY = -1  # more lights than the capacity
+STEPS = -2  # the background has a step: a component far larger than any light
 _TILE = 64  # px
 _SAMPLES = 36  # samples of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
-_FRINGE, _LARGE = 12, 300  # pixels above the threshold
-_BESIDE = 3  # px
+_SMALL = 300  # pixels of a component that is soon fitted
+_MANY = 48  # components
+_WHOLE = 30  # of ``flood``: one block, the image
+_LIGHTS = 4  # squares of the largest light: pixels of the largest component
 
 
 class Background(NamedTuple):
@@ -47,9 +48,10 @@ class Background(NamedTuple):
 
 @kernel
 def _flood_row(frame, hits, background, components, lights, count):
-    """Flood from each of ``hits`` without a component; return the number of components, or TOO_MANY."""
+    """Flood from each of ``hits`` without a component; return the number of components, TOO_MANY or STEPS."""
     rows, columns = frame.image.shape
     end = components[count - 1, END] if count > 0 else 0
+    threshold, most = np.empty((1, 1)), int(_LIGHTS * frame.limits.largest**2)
     for hit in hits:
         v, u = hit // columns, hit % columns
         if frame.label[v, u] != 0:
@@ -60,8 +62,12 @@ def _flood_row(frame, hits, background, components, lights, count):
         variance = max(interpolate(background.dark, u, v, columns, rows), 1.0 / 12.0)
         lights[count, 0], lights[count, 1] = here, variance
         wide = max(interpolate(background.spread, u, v, columns, rows), 9.0 * variance)
-        threshold = here + frame.limits.sigmas * math.sqrt(wide)
-        end = flood(frame.image, frame.label, count + 1, hit, threshold, frame.queue, end, components[count])
+        threshold[0, 0] = here + frame.limits.sigmas * math.sqrt(wide)
+        end = flood(
+            frame.image, frame.label, count + 1, hit, threshold, _WHOLE, most, frame.queue, end, components[count]
+        )  # fmt: skip
+        if end < 0:
+            return STEPS
         count += 1
     return count
 
@@ -70,7 +76,7 @@ def _flood_row(frame, hits, background, components, lights, count):
 def components_of_image(frame, components, lights):
     """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 2).
 
-    Return the number of components, or TOO_MANY.
+    Return the number of components, TOO_MANY, or STEPS.
     """
     rows, columns = frame.image.shape
     shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
@@ -88,8 +94,8 @@ def components_of_image(frame, components, lights):
         count = collect_hits(frame.image, v, 0, columns, scan)
         if count > 0:
             n_components = _flood_row(frame, scan.hits[:count], background, components, lights, n_components)
-            if n_components == TOO_MANY:
-                return TOO_MANY
+            if n_components < 0:
+                return n_components
     return n_components
 
 
@@ -120,8 +126,8 @@ def components_of_windows(frame, windows, components, lights):
             count = collect_hits(frame.image, v, box[k, 0], box[k, 2], scan)
             if count > 0:
                 n_components = _flood_row(frame, scan.hits[:count], background, components, lights, n_components)
-                if n_components == TOO_MANY:
-                    return TOO_MANY
+                if n_components < 0:
+                    return n_components
     return n_components
 
 
@@ -138,35 +144,45 @@ def _typical(level, dark, k):
 
 
 @kernel
-def is_fringe(label, components, k):
-    """Return whether component ``k`` is a few pixels next to a large light: noise of that light's edge."""
-    if components[k, END] - components[k, FIRST] > _FRINGE:
-        return False
-    for i in range(max(components[k, V0] - _BESIDE, 0), min(components[k, V1] + _BESIDE + 1, label.shape[0])):
-        for j in range(max(components[k, U0] - _BESIDE, 0), min(components[k, U1] + _BESIDE + 1, label.shape[1])):
-            other = label[i, j] - 1
-            if other >= 0 and components[other, END] - components[other, FIRST] > _LARGE:
-                return True
-    return False
+def by_priority(frame, components, lights, count):
+    """Return the order in which components are measured: of many the highest and smallest first, as work is limited."""
+    order = np.arange(count)
+    if count <= _MANY:
+        return order
+    rank = np.empty(count)
+    for k in range(count):
+        rank[k] = 1e6 if components[k, END] - components[k, FIRST] > _SMALL else 0.0
+        peak = 0
+        for at in range(components[k, FIRST], components[k, END]):
+            v, u = frame.queue[at] // frame.image.shape[1], frame.queue[at] % frame.image.shape[1]
+            peak = max(peak, sum_of_nine(frame.image, u, v))
+        rank[k] += lights[k, 0] - peak
+    return np.argsort(rank)
 
 
 @kernel
-def detect(frame, windows, spots, noise):
+def detect(frame, windows, steps, spots, noise):
     """Write the spots of an image to ``spots``; return how many, or TOO_MANY.
 
-    windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image.
+    windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image. steps: whether
+    its background has steps everywhere.
     noise: (most components, 2), per component as from ``light_noise``; zero without an estimate.
     """
     columns = frame.image.shape[1]
     most = noise.shape[0]
     components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
     lights = np.empty((most, 2))
-    if windows.shape[0] == 0:
+    n_components = STEPS
+    if not steps and windows.shape[0] == 0:
         n_components = components_of_image(frame, components, lights)
-    else:
+    elif not steps:
         n_components = components_of_windows(frame, windows, components, lights)
+    if n_components == STEPS:
+        n_components = lights_of_steps(frame, windows, components, lights)
+    elif n_components > 0:
+        n_components = split_large(frame, components, lights, n_components)
     count = 0
-    for k in range(max(n_components, 0)):
+    for k in by_priority(frame, components, lights, max(n_components, 0)):
         if is_fringe(frame.label, components, k):
             continue
         component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])

@@ -96,7 +96,7 @@ def may_be_apart(first, second, between, length):
 
 @kernel
 def allow_pairs(scene, view, c, near, far, allowed, some, index):
-    """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two LEDs.
+    """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two different LEDs.
 
     some: (MAX_SPOTS, MAX_SPOTS), whether they can be any two. index: (MAX_SPOTS,), the spots in order, those first
     that have a possible partner in the other image. Return how many have one.
@@ -115,18 +115,21 @@ def allow_pairs(scene, view, c, near, far, allowed, some, index):
             index[last] = i
             last += 1
     for i in range(view.counts[c]):
-        for j in range(view.counts[c]):
+        some[i, i] = 0
+        for j in range(i):
             y, z = view.spots[c, i].ray, view.spots[c, j].ray
             between = y[0] * z[0] + y[1] * z[1] + y[2] * z[2]
             some[i, j] = 0
             for p in range(n):
-                for q in range(n):
+                for q in range(p):
                     fits = counts[i] == 0 or counts[j] == 0
                     for a in range(counts[i]):
                         for b in range(counts[j]):
                             if not fits:
                                 fits = may_be_apart(ranges[i, a], ranges[j, b], between, math.sqrt(scene.squares[p, q]))
-                    allowed[i, j, p, q] = 1 if fits else 0
-                    if fits and p != q:
+                    possible = 1 if fits else 0
+                    allowed[i, j, p, q] = allowed[i, j, q, p] = allowed[j, i, p, q] = allowed[j, i, q, p] = possible
+                    if fits:
                         some[i, j] = 1
+            some[j, i] = some[i, j]
     return paired

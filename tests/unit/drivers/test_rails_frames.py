@@ -276,3 +276,22 @@ def test_a_million_mutated_answers() -> None:
     assert fuzz_serial(1_000_000) <= 16
     fuzz_tcp(1_000_000)
     fuzz_blocks(1_000_000)
+
+
+@pytest.mark.parametrize("unit", [0, 255])
+def test_response_of_a_tcp_device_without_unit_ids_is_taken_and_counted(unit: int) -> None:
+    matcher = ResponseMatcher(True, new_counters(), Expected(7, READ, 1, transaction=5))
+    frame = bytes.fromhex("0005 0000 0005") + bytes((unit, READ, 2, 0x12, 0x34))
+    _, answer = matcher.feed(frame)
+    assert answer is not None
+    assert (answer.device_id, answer.registers) == (7, (0x1234,))
+    assert matcher.counters["other_unit"] == 1
+
+
+@pytest.mark.parametrize(("tcp", "unit"), [(True, 9), (False, 0)])
+def test_response_of_another_unit_is_named(tcp: bool, unit: int) -> None:
+    matcher = ResponseMatcher(tcp, new_counters(), Expected(7, READ, 1, transaction=5 if tcp else 0))
+    body = bytes((unit, READ, 2, 0x12, 0x34))
+    frame = bytes.fromhex("0005 0000 0005") + body if tcp else with_check_sum(body)
+    assert matcher.feed(frame)[1] is None
+    assert matcher.stranger == unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hil.cli.main import execute
@@ -13,23 +14,8 @@ from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.errors import BadInput
 from hil.parts.emulation.cia402_objects import ObjectDictionary
-
-
-def altered(tmp_path, *changes):
-    text = SHIPPED.read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    path = tmp_path / "drive.eds"
-    path.write_text(text)
-    return path
-
-
-def section(index):
-    """Return one section of the shipped EDS."""
-    text = SHIPPED.read_text()
-    start = text.index(f"[{index}]")
-    return text[start:].split("\n\n")[0]
+from tests.support.data_sheets import altered, section
+from tests.support.turntable_bench import served
 
 
 def test_shipped_eds_has_what_the_driver_needs_for_homing_and_profiles():
@@ -154,9 +140,34 @@ def test_watchdog_that_a_drive_lacks_has_a_substitute_or_a_line(tmp_path):
     assert eds.watchdogs() == [codec.HEARTBEAT_GUARD]
     assert not eds.losses()
     eds = Eds(altered(tmp_path, without_timer, (section("6007"), "")))
-    assert [line.split(":")[0] for line in eds.losses()] == ["0x6007 is missing"]
+    assert [line.split(":")[0] for line in eds.losses()] == ["0x6007 is missing or takes none of 3, 1, 2"]
     eds = Eds(altered(tmp_path, without_timer, (section("1016sub1"), "")))
     assert "no watchdog of the drive" in eds.losses()[0]
+
+
+@pytest.mark.parametrize(("high", "code", "lost"), [(8, 6, 0), (5, 5, 0), (2, None, 1)])
+def test_quick_stop_is_the_best_that_the_drive_takes(tmp_path, high: int, code: int | None, lost: int) -> None:
+    limits = section("605A") + f"\nLowLimit=0\nHighLimit={high}"
+    eds = Eds(altered(tmp_path, (section("605A"), limits)))
+    assert eds.reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS) == code
+    assert len(eds.losses()) == lost
+
+
+def test_transmission_of_setpoints_that_is_fixed_is_used_as_it_is(tmp_path) -> None:
+    fixed = section("1400sub2").replace("AccessType=rw", "AccessType=const\nDefaultValue=255")
+    path = altered(tmp_path, (section("1400sub2"), fixed))
+    with served("cia402", cia402={"eds_file": str(path)}) as (_, device, clock):
+        goal = np.radians((8.0, -6.0, 3.0))
+        for _ in range(80):
+            device.send(goal, np.zeros(3), clock.now_s())
+            clock.sleep(0.02)
+        assert device.read(clock.now_s()).position == pytest.approx(goal, abs=1e-4)
+
+
+def test_fixed_mapping_of_another_object_is_refused(tmp_path) -> None:
+    fixed = section("1601sub1").replace("AccessType=rw", "AccessType=ro\nDefaultValue=0x60FF0020")
+    with pytest.raises(BadInput, match=r"\[1601sub1\] AccessType: ro: the driver maps 0x6040 there, allowed: rw"):
+        Eds(altered(tmp_path, (section("1601sub1"), fixed)))
 
 
 @pytest.mark.parametrize("text", ["", "[6040]\nParameterName=x\n", "no sections at all", "[DeviceInfo]\n[6040\n"])

@@ -22,7 +22,8 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
-from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
+from hil.drivers.turntable.cia402.sdo import PortNetwork
+from hil.drivers.turntable.cia402.setup import DriveSetup
 from hil.drivers.turntable.cia402.units import Units
 from hil.errors import DeviceError, DriveFault
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
@@ -211,14 +212,14 @@ class SpoiltPort:
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_mutated_sdo_replies(count, monkeypatch):
-    monkeypatch.setattr("hil.drivers.turntable.cia402.setup.REPLY_WALL_S", 0.0005)
+    monkeypatch.setattr("hil.drivers.turntable.cia402.sdo.REPLY_WALL_S", 0.0005)
     dice = random.Random(17)
     port = SpoiltPort(dice)
     port.drive.status = lambda now_s: []
     setup = DriveSetup(port, PortNetwork(port), 1, "turntable.roll", Eds(SHIPPED), lambda *_: None, WallClock())
     for _ in range(count // 10):  # ten mutated bytes a transfer
         index = dice.choice([codec.DEVICE_TYPE, codec.MODE_DISPLAY, codec.HEARTBEAT_PRODUCER, codec.FIRMWARE])
-        error = raised_by(setup._text if index == codec.FIRMWARE else lambda i: setup.get(i, 1), index)
+        error = raised_by(setup.text if index == codec.FIRMWARE else lambda i: setup.get(i, 1), index)
         assert error is None or str(error).startswith("turntable.roll")
 
 

@@ -246,3 +246,22 @@ def test_vision_alone_learns_the_scale_of_the_thrust(error: float) -> None:
 
 def test_scale_of_the_thrust_is_no_state_where_an_accelerometer_measures_it(params: np.record) -> None:
     assert params.errors.thrust_scale == 0
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_gate_opens_again_for_poses_that_agree_for_long_if_the_imu_is_accused(
+    params: np.record, rng: np.random.Generator, sound: bool
+) -> None:
+    """The jump stays an error that is possible; a sound IMU is a witness against such poses."""
+    flight = Flight(params, rng)
+    flight.steps(405)
+    if not sound:
+        fusion.replace_imu(params, flight.state, flight.memory, 0)
+    flight.x[1] += 0.4
+    accepted = int(flight.state.accepted)
+    flight.steps(50 * FRAME)
+    assert (flight.state.accepted == accepted) == sound
+    assert flight.state.jump_m[1] == pytest.approx(0.0 if sound else 0.4, abs=0.05)
+    if not sound:
+        flight.steps(50 * FRAME)
+        assert np.abs(flight.position_error()).max() < 0.02

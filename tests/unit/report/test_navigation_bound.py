@@ -19,14 +19,17 @@ def rows(cycles: int) -> np.ndarray:
     found = np.zeros(cycles, CYCLE)
     found["t_s"] = found["pose"]["t_s"] = STEP_S * np.arange(cycles)
     found["pose"]["fresh"][::PERIOD] = 1
+    found["pose"]["z_TC_C"] = (-2.0, 0.0, 0.0)
     bench = load_rig("mock").value.vmu
     found["pose"]["covariance_position"] = (SIGMA_M**2 + bench.bench_sigma_m**2) * np.eye(3)
     found["pose"]["covariance_attitude"] = (SIGMA_RAD**2 + math.radians(bench.bench_sigma_deg) ** 2) * np.eye(3)
     return found
 
 
-def bound(cycles: int, *settings: str, settled_s: float = 100.0, parts: int = 1) -> dict[str, list[float] | None]:
-    found = NavigationBound(load_scenario("scheme-1", settings).value, load_rig("mock").value, settled_s)
+def bound(
+    cycles: int, *settings: str, settled_s: float = 100.0, parts: int = 1, scenario: str = "scheme-1-paper"
+) -> dict[str, list[float] | None]:
+    found = NavigationBound(load_scenario(scenario, settings).value, load_rig("mock").value, settled_s)
     for part in np.array_split(rows(cycles), parts):
         found.add(part)
     return found.rows()
@@ -78,3 +81,16 @@ def test_bound_of_parts_is_that_of_the_run_and_one_without_poses_or_imu_is_none(
     nothing = {"position_bound_m": None, "attitude_bound_deg": None}
     assert bound(1) == nothing
     assert bound(1000, 'gnc.navigation.backend="vision_alone"') == nothing
+
+
+def test_error_budget_adds_what_poses_cannot_show() -> None:
+    """Bias (2, 0.5, 0.5) mm, 0.05 deg and 0.1 % of the range, here 2 m."""
+    alone, found = bound(6000), bound(6000, scenario="scheme-1")
+    turned = math.radians(0.05)
+    for name, added in (
+        ("position_bound_m", np.hypot([0.002, 0.0005, 0.0005], 2.0 * np.array([0.001, turned, turned]))),
+        ("attitude_bound_deg", np.full(3, 0.05)),
+    ):
+        without, whole = alone[name], found[name]
+        assert without is not None
+        assert whole == pytest.approx(np.hypot(without, added).tolist())

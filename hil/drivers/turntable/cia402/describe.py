@@ -28,7 +28,7 @@ def describe(path: Path) -> list[Finding]:
         ("position unit", *_position_unit(eds)),
         ("velocity unit", *_velocity_unit(eds)),
         ("interpolation", *((f"{period} is set to the time between setpoints", "") if period else _NO_PERIOD)),
-        ("watchdog", watchdogs[0] if watchdogs else "none", ""),
+        ("watchdog", " and ".join(watchdogs) or "none", ""),
         (
             "homing",
             "by the drive" if homes else "none: 0x6098, 0x6099",

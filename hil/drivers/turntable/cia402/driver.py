@@ -20,7 +20,8 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort, Frame
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
-from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup, PortNetwork
+from hil.drivers.turntable.cia402.sdo import PortNetwork
+from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup
 from hil.errors import BadInput, DeviceError, LinkTimeout, ProtocolError
 
 _RESPONSE_S: Final = 0.04  # bench time within which the responses to one SYNC are valid
@@ -156,7 +157,7 @@ class Cia402Link:
         if now_s - self._guarded_s < _WATCHDOG_S / codec.GUARDS_PER_LIFE:
             return
         self._guarded_s = now_s
-        means = {node.setup.watchdog for node in self._nodes if node.setup is not None}
+        means = {each for node in self._nodes if node.setup is not None for each in node.setup.watchdogs}
         if codec.HEARTBEAT_GUARD in means:
             port.send((codec.HEARTBEAT_ID + self._wire.master_id, bytes((codec.OPERATIONAL,))))
         if codec.LIFE_GUARD in means:

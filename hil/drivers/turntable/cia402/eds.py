@@ -102,7 +102,7 @@ class Eds:
         return [
             stream
             for stream in _STREAMS
-            if (not supported or supported & 1 << stream - 1) and (low is None or high is None or low <= stream <= high)
+            if (supported & 1 << stream - 1 if supported else low is None or high is None or low <= stream <= high)
         ]
 
     def _takes(self, mode: int) -> bool:
@@ -114,14 +114,21 @@ class Eds:
         indices = (index for index in self.variables if index[0] in codec.PDO_PARAMETERS and index[1] == 1)
         return [key for key in indices if key[0] not in used and self.can_write(*key)]
 
+    def reaction(self, index: int, wanted: tuple[int, ...]) -> int | None:
+        """Return the first of ``wanted`` that the drive takes as option code ``index``; None if it takes none."""
+        if not self.can_write(index):
+            return None
+        low, high = self.variables[index, 0].low, self.variables[index, 0].high
+        return next((each for each in wanted if low is None or high is None or low <= each <= high), None)
+
     def watchdogs(self) -> list[str]:
-        """Return the means by which the drive can notice that the bench is silent, the preferred one first."""
+        """Return the means by which the drive can notice that the bench is silent."""
         means = []
         if self.can_write(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER):
             means.append(codec.SETPOINT_TIME_OUT)
         if self.can_write(codec.HEARTBEAT_CONSUMER, 1):
             means.append(codec.HEARTBEAT_GUARD)
-        if self.can_write(codec.GUARD_TIME) and self.can_write(codec.LIFE_TIME_FACTOR):
+        elif self.can_write(codec.GUARD_TIME) and self.can_write(codec.LIFE_TIME_FACTOR):
             means.append(codec.LIFE_GUARD)
         return means
 
@@ -133,13 +140,16 @@ class Eds:
                 "0x1400:05, 0x1016:01 and 0x100C are missing: no watchdog of the drive stops its axis when the bench "
                 "falls silent, the safety chain alone does"
             )
-        elif not self.can_write(codec.ABORT_CONNECTION_OPTION):
+        elif self.reaction(codec.ABORT_CONNECTION_OPTION, codec.ABORT_REACTIONS) is None:
             lines.append(
-                f"0x6007 is missing: what the drive does when its watchdog ({means[0]}) expires is set in the drive: "
-                "try it with hil commission --proof-test"
+                f"0x6007 is missing or takes none of 3, 1, 2: what the drive does when its watchdog ({means[0]}) "
+                "expires is set in the drive: try it with hil commission --proof-test"
             )
-        if not self.can_write(codec.QUICK_STOP_OPTION):
-            lines.append("0x605A is missing: whether the drive keeps its torque after a quick stop is set in the drive")
+        if self.reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS) is None:
+            lines.append(
+                "0x605A is missing or takes neither 6 nor 5: whether the drive keeps its torque after a quick stop is "
+                "set in the drive"
+            )
         if not self.has(codec.MODE_DISPLAY):
             lines.append("0x6061 is missing: the drive does not confirm its mode of operation")
         return lines
@@ -153,10 +163,24 @@ class Eds:
         problems.append(self._problem(codec.MODE, 0, written=True))
         for pdo in _PDOS:
             problems += [self._problem(pdo.parameter, 1, written=True), self._problem(pdo.parameter, 2)]
-            problems += [self._problem(pdo.mapping_index, sub) for sub in (0, 1)]
+            problems += [self._problem(pdo.mapping_index, 0), self._mapping_problem(pdo)]
         if homing:
             problems += [self._problem(*key, written=True) for key in codec.HOMING_OBJECTS]
         return [problem for problem in problems if problem]
+
+    def _mapping_problem(self, pdo: Pdo) -> str:
+        """Return the problem of a PDO whose mapping is fixed, "" if it can be written or is the one of the driver."""
+        problem = self._problem(pdo.mapping_index, 1)
+        if problem or self.can_write(pdo.mapping_index, 1):
+            return problem
+        index, subindex, bits = pdo.mapping[0]
+        if pdo is codec.SETPOINT_PDO and self.streams[0] == codec.INTERPOLATED_POSITION:
+            index, subindex, bits = codec.INTERPOLATION_PDO.mapping[0]
+        if self.default(pdo.mapping_index, 1) == index << 16 | subindex << 8 | bits:
+            return ""
+        variable = self.variables[pdo.mapping_index, 1]
+        name = codec.object_name(index, subindex)
+        return f"{variable.section} AccessType: {variable.access}: the driver maps {name} there, allowed: rw"
 
     def _no_stream(self) -> str:
         supported = self.default(*codec.SUPPORTED_MODES)

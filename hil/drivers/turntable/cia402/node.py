@@ -188,7 +188,8 @@ class Node:
     def facts(self) -> str:
         """Return mode, units and watchdog of the opened drive."""
         setup = self._sdo
-        guard = f"watchdog {setup.watchdog}, {setup.watchdog_s:g} s" if setup.watchdog else "no watchdog"
+        guards = " and ".join(setup.watchdogs)
+        guard = f"watchdog {guards}, {setup.watchdog_s:g} s" if guards else "no watchdog"
         return f"{self.name}: {codec.MODE_NAMES[setup.stream]}, {setup.units}, {guard}"
 
     def check_silence(self, now_s: float) -> None:

@@ -1,88 +1,35 @@
-"""Set-up of one CiA 402 drive by SDO: identity, units, PDO mapping, watchdog, mode, enabling.
-
-canopen's SDO client does the transfers, pumped from the bus in the calling thread: no notifier
-thread, so an error of the bus is raised here. Blocks; each reply is waited for at most REPLY_WALL_S.
-"""
+"""Set-up of one CiA 402 drive: identity, units, PDO mapping, watchdog, mode, enabling. Blocks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import canopen
-from canopen.objectdictionary import ObjectDictionary
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from hil.config.rig import Cia402
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort
-from hil.drivers.turntable.cia402.codec import DriveState, Pdo
+from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.eds import Eds
+from hil.drivers.turntable.cia402.sdo import DriveObjects, Handler
 from hil.drivers.turntable.cia402.units import Units, units_of
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
-REPLY_WALL_S = 0.3
 LAG_WALL_S = 0.5
 """Time that a drive may take to display a new mode, and then to show its bits in the statusword."""
 _RESET_WALL_S = 0.3
 _POLL_WALL_S = 0.005
 _STANDSTILL_WALL_S = 0.05
-_SDO_BYTES = 8
-_NOT_MAPPABLE = 0x06040041
-_INVALID_VALUE = 0x06090030
-_ABSENT = (0x06020000, 0x06090011)  # no such object, no such sub-index
 _CYCLES_PER_S = 50.0
 
 
-Handler = Callable[[int, bytes], None]
+class DriveSetup(DriveObjects):
+    """Set-up of one drive. Errors name ``axis``: LinkTimeout, ProtocolError, DriveFault.
 
-
-class PortNetwork(canopen.Network):
-    """Network of canopen's clients on a ``CanPort``."""
-
-    def __init__(self, port: CanPort) -> None:
-        super().__init__()
-        self._port = port
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self._port.send((can_id, bytes(data)))
-
-
-class _PumpedClient(SdoClient):
-    """canopen's SDO client that reads the bus itself while it waits."""
-
-    RESPONSE_TIMEOUT = 0.0
-
-    def __init__(
-        self, port: CanPort, network: canopen.Network, node_id: int, others: Handler, clock: BenchClock
-    ) -> None:
-        super().__init__(codec.SDO_REQUEST_ID + node_id, codec.SDO_REPLY_ID + node_id, ObjectDictionary())
-        self.network = network
-        self._port = port
-        self._others = others
-        self._clock = clock
-        network.subscribe(self.tx_cobid, self.on_response)
-
-    def read_response(self) -> bytes:
-        end_s = self._clock.host_s() + REPLY_WALL_S
-        while self.responses.empty() and (left_s := end_s - self._clock.host_s()) > 0.0:
-            frame = self._port.receive(left_s)
-            if frame is not None and frame[0] == self.tx_cobid and len(frame[1]) == _SDO_BYTES:
-                self.on_response(frame[0], bytearray(frame[1]), 0.0)
-            elif frame is not None:
-                self._others(*frame)
-        return super().read_response()  # type: ignore[no-any-return]
-
-
-class DriveSetup:
-    """One drive on the bus, spoken to by SDO. Errors name ``axis``: LinkTimeout, ProtocolError, DriveFault.
-
-    others: handler of received frames that are not SDO responses of this drive. clock: of the time-outs.
     Set by ``configure``: units, stream (mode of operation that follows setpoints), has_offset and has_velocity (whether
-    the setpoint holds a velocity, the feedback one), watchdog ("" for none), beats (whether it sends heartbeats).
+    the setpoint holds a velocity, the feedback one), watchdogs, beats (whether it sends heartbeats).
     """
 
     def __init__(
@@ -95,15 +42,13 @@ class DriveSetup:
         others: Handler,
         clock: BenchClock,
     ) -> None:
-        self.axis = axis
-        self.node_id = node_id
-        self._eds = eds
-        self._clock = clock
-        self._sdo = _PumpedClient(port, network, node_id, others, clock)
+        super().__init__(port, network, node_id, axis, eds, others, clock)
         self.units = Units(1.0, None)
         self.stream = codec.CYCLIC_SYNCHRONOUS_POSITION
         self.has_offset = self.has_velocity = False
-        self.watchdog, self.watchdog_s = "", 0.0
+        self.watchdogs: list[str] = []
+        self.watchdog_s = 0.0
+        self._enabled_since_s: float | None = None
         self.beats = False
         self.position = 0
 
@@ -118,7 +63,7 @@ class DriveSetup:
         if config.revision_min is not None and (actual := self._identity(3)) < config.revision_min:
             text = f"revision is 0x{actual:08X}, expected 0x{config.revision_min:08X} or newer"
             raise ProtocolError(self.axis, text)
-        if config.firmware is not None and (name := self._text(codec.FIRMWARE)) != config.firmware:
+        if config.firmware is not None and (name := self.text(codec.FIRMWARE)) != config.firmware:
             raise ProtocolError(self.axis, f"firmware is {name!r}, expected {config.firmware!r}")
         try:
             self.units = units_of(config, self.read)
@@ -127,10 +72,6 @@ class DriveSetup:
 
     def _identity(self, subindex: int) -> int:
         return self.get(codec.IDENTITY, 4, subindex) & 0xFFFF_FFFF
-
-    def _text(self, index: int) -> str:
-        data = self._transfer(index, 0, lambda: self._sdo.upload(index, 0)) or b""
-        return data.rstrip(b"\0 ").decode("ascii", "replace")
 
     def configure(self, timeout_s: float, watchdog_s: float, heartbeat_s: float, period_s: float, master: int) -> None:
         """Write PDOs, watchdog, mode and reactions (node pre-operational).
@@ -143,15 +84,18 @@ class DriveSetup:
                 self.put(index, identifier | codec.PDO_INVALID, 4, subindex)
         self._choose_stream()
         self._map_setpoint()
-        self._map(codec.CONTROL_PDO)
-        self.has_velocity = self._map_either(codec.FEEDBACK_PDO, codec.FEEDBACK_PDO_PLAIN, not self.units.has_rates)
-        self._map_either(codec.STATUS_PDO, codec.STATUS_PDO_PLAIN)
+        self.map(codec.CONTROL_PDO)
+        self.has_velocity = self.map_either(codec.FEEDBACK_PDO, codec.FEEDBACK_PDO_PLAIN, not self.units.has_rates)
+        self.map_either(codec.STATUS_PDO, codec.STATUS_PDO_PLAIN)
         self._time_status(timeout_s)
         self._guard(watchdog_s, heartbeat_s, master)
-        if self._eds.can_write(codec.QUICK_STOP_OPTION):
-            self.set(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_STAYS, 2)
+        self._set_reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS)
         self._set_period(period_s)
         self.request_mode(self.stream)
+
+    def _set_reaction(self, index: int, wanted: tuple[int, ...]) -> None:
+        if (code := self._eds.reaction(index, wanted)) is not None:
+            self.set(index, code, 2)
 
     def _choose_stream(self) -> None:
         """Choose the mode that follows setpoints, of those that the connected drive supports."""
@@ -167,7 +111,7 @@ class DriveSetup:
 
     def _map_setpoint(self) -> None:
         if self.stream == codec.INTERPOLATED_POSITION:
-            self._map(codec.INTERPOLATION_PDO)
+            self.map(codec.INTERPOLATION_PDO)
             for index, subindex, value, size in (
                 (codec.INTERPOLATION_SUBMODE, 0, 0, 2),
                 (codec.BUFFER, 6, 1, 1),
@@ -175,7 +119,7 @@ class DriveSetup:
                 if self._eds.can_write(index, subindex):
                     self.put(index, value, size, subindex)
             return
-        self.has_offset = self._map_either(
+        self.has_offset = self.map_either(
             codec.SETPOINT_PDO, codec.SETPOINT_PDO_PLAIN, skip_full=not self.units.has_rates
         )
 
@@ -194,18 +138,20 @@ class DriveSetup:
     def _guard(self, watchdog_s: float, heartbeat_s: float, master: int) -> None:
         """Set up the drive's watchdog over the bench, and its heartbeat."""
         time_ms, self.watchdog_s = round(1000.0 * watchdog_s), watchdog_s
-        self.watchdog = self._choose_watchdog(time_ms, master)
-        beat_ms = round(1000.0 * heartbeat_s) if self.watchdog != codec.LIFE_GUARD else 0
+        self.watchdogs = self._set_watchdogs(time_ms, master)
+        beat_ms = round(1000.0 * heartbeat_s) if codec.LIFE_GUARD not in self.watchdogs else 0
         produces = self.read(codec.HEARTBEAT_PRODUCER) is not None and self._eds.can_write(codec.HEARTBEAT_PRODUCER)
-        self.beats = self.watchdog == codec.LIFE_GUARD or produces
+        self.beats = codec.LIFE_GUARD in self.watchdogs or produces
         if produces:
             self.set(codec.HEARTBEAT_PRODUCER, beat_ms, 2)
-        if self._eds.can_write(codec.ABORT_CONNECTION_OPTION):
-            self.set(codec.ABORT_CONNECTION_OPTION, codec.ABORT_QUICK_STOPS, 2)
+        self._set_reaction(codec.ABORT_CONNECTION_OPTION, codec.ABORT_REACTIONS)
 
-    def _choose_watchdog(self, time_ms: int, master: int) -> str:
-        """Set the first watchdog that the drive accepts, return it. Raises ProtocolError if it refuses all it has."""
-        refused: ProtocolError | None = None
+    def _set_watchdogs(self, time_ms: int, master: int) -> list[str]:
+        """Set all watchdogs that the drive accepts; return them. Raises ProtocolError if it refuses all it has.
+
+        Some drives accept a setpoint time-out that they do not monitor: a heartbeat is consumed as well.
+        """
+        accepted, refused = [], None
         for means in self._eds.watchdogs():
             try:
                 if means == codec.SETPOINT_TIME_OUT:
@@ -218,10 +164,10 @@ class DriveSetup:
             except ProtocolError as error:
                 refused = error
             else:
-                return means
-        if refused is not None:
+                accepted.append(means)
+        if refused is not None and not accepted:
             raise refused
-        return ""
+        return accepted
 
     def _set_period(self, period_s: float) -> None:
         """Write the time over which the drive interpolates between two setpoints, which is that between them."""
@@ -333,6 +279,7 @@ class DriveSetup:
         if self._state() is DriveState.ENABLED:
             self.put(codec.CONTROLWORD, codec.QUICK_STOP, 2)
         self.position = self.hold()
+        self._enabled_since_s = None
 
     def continue_enabling(self, standstill_radps: float) -> bool:
         """Take the next step towards operation enabled, at the present position; return whether it is.
@@ -350,9 +297,13 @@ class DriveSetup:
             self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
         if state is not DriveState.ENABLED:
             return False
-        if not self.await_mode(self.stream) and self.displays(self.stream) is False:
+        now_s = self._clock.host_s()
+        self._enabled_since_s = self._enabled_since_s or now_s
+        if self.displays(self.stream) is not False:
+            return True
+        if now_s - self._enabled_since_s > LAG_WALL_S:
             raise self.stays_in_another(self.stream)
-        return True
+        return False
 
     def not_enabled(self, timeout_s: float) -> LinkTimeout:
         """Return the error of a drive that is not enabled in time."""
@@ -388,106 +339,3 @@ class DriveSetup:
     def has_error(self) -> bool:
         """Return whether the drive has an error now, by its error register."""
         return self.get(codec.ERROR_REGISTER, 1) & 0xFF != 0
-
-    def read(self, index: int, subindex: int = 0) -> int | None:
-        """Return a whole number of any size; None if the data sheet does not have it, or the drive does not."""
-        if (index, subindex) not in self._eds.variables:
-            return None
-        try:
-            data = self._transfer(index, subindex, lambda: self._sdo.upload(index, subindex)) or b""
-        except ProtocolError as error:
-            if _abort_code(error) is None:
-                raise
-            return None
-        return int.from_bytes(data[:4], "little", signed=True)
-
-    def get(self, index: int, size: int, subindex: int = 0) -> int:
-        """Read one whole number of ``size`` bytes, signed."""
-        data = self._transfer(index, subindex, lambda: self._sdo.upload(index, subindex))
-        if data is None or len(data) < size:
-            name = codec.object_name(index, subindex)
-            raise ProtocolError(self.axis, f"object {name} is shorter than {size} bytes")
-        return int.from_bytes(data[:size], "little", signed=True)
-
-    def put(self, index: int, value: int, size: int, subindex: int = 0) -> None:
-        """Write one whole number of ``size`` bytes."""
-        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
-        self._transfer(index, subindex, lambda: self._sdo.download(index, subindex, data), value)
-
-    def set(self, index: int, value: int, size: int, subindex: int = 0) -> None:
-        """Write a setting unless the drive has it already, and read it back. Raises ProtocolError if it differs."""
-        mask = (1 << 8 * size) - 1
-        present = self.read(index, subindex)
-        if present is not None and present & mask == value & mask:
-            return
-        self.put(index, value, size, subindex)
-        if (actual := self.get(index, size, subindex)) & mask != value & mask:
-            name = codec.object_name(index, subindex)
-            raise ProtocolError(self.axis, f"object {name} is {actual} after {value} was written")
-
-    def _map_either(self, full: Pdo, plain: Pdo, skip_full: bool = False) -> bool:
-        """Map ``full``, or ``plain`` if EDS or drive lack one of its objects; return whether it is full."""
-        if self._eds.maps(full) and not skip_full:
-            try:
-                self._map(full)
-            except ProtocolError as error:
-                if _abort_code(error) not in (*_ABSENT, _NOT_MAPPABLE):
-                    raise
-            else:
-                return True
-        self._map(plain)
-        return False
-
-    def _map(self, pdo: Pdo) -> None:
-        """Write one PDO in the order that CiA 301 asks for: invalid, no entries, entries, count, valid.
-
-        The bit that forbids remote frames stays as the drive has it; a drive that has none of them insists on it.
-        """
-        identifier = pdo.identifier + self.node_id
-        kept = (self.read(pdo.parameter, 1) or 0) & codec.PDO_NO_RTR
-        try:
-            self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
-        except ProtocolError as error:
-            if _abort_code(error) != _INVALID_VALUE or kept or pdo.identifier not in (codec.TPDO1_ID, codec.TPDO2_ID):
-                raise
-            kept = codec.PDO_NO_RTR
-            self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
-        self.set(pdo.parameter, pdo.transmission, 1, subindex=2)
-        mapping = [index << 16 | subindex << 8 | bits for index, subindex, bits in pdo.mapping]
-        if not self._has_mapping(pdo.mapping_index, mapping):
-            self.put(pdo.mapping_index, 0, 1)
-            for each, entry in enumerate(mapping, start=1):
-                self.put(pdo.mapping_index, entry, 4, subindex=each)
-            self.put(pdo.mapping_index, len(mapping), 1)
-        self.put(pdo.parameter, identifier | kept, 4, subindex=1)
-
-    def _has_mapping(self, index: int, mapping: list[int]) -> bool:
-        present = [self.read(index, each) for each in range(len(mapping) + 1)]
-        return [each is not None and each & 0xFFFF_FFFF for each in present] == [len(mapping), *mapping]
-
-    def _transfer(
-        self, index: int, subindex: int, transfer: Callable[[], bytes | None], value: int | None = None
-    ) -> bytes | None:
-        name = codec.object_name(index, subindex)
-        for tries_left in (1, 0):
-            try:
-                return transfer()
-            except SdoAbortedError as error:
-                what = name if value is None else f"{name} = {value}"
-                text = f"refuses object {what}: {error}"
-                if error.code in _ABSENT:
-                    text = (
-                        f"object {name} of the data sheet does not exist in the drive: enter its own as cia402.eds_file"
-                    )
-                raise ProtocolError(self.axis, text) from error
-            except SdoCommunicationError as error:
-                if tries_left:
-                    continue  # a frame was lost or damaged
-                what = f"node {self.node_id} does not answer for object {name} within {REPLY_WALL_S:g} s"
-                raise LinkTimeout(self.axis, what) from error
-        raise AssertionError("unreachable")
-
-
-def _abort_code(error: ProtocolError) -> int | None:
-    """Return the code with which the drive has refused an object; None for another error."""
-    return error.__cause__.code if isinstance(error.__cause__, SdoAbortedError) else None

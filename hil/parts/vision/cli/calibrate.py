@@ -334,7 +334,9 @@ def _calibrate(
     if result.out is not None:
         used = len(outcome.solved.observations.names)
         table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used)
-        write_text(as_toml(table, "Vision unit: LEDs and cameras, as measured by hil calibrate."), result.out)
+        measured = "LEDs and cameras" if label.target.endswith("leds") and "leds" not in start.keep else "cameras"
+        given_leds = "" if measured != "cameras" else " The LEDs are those given to it: measure them too."
+        write_text(as_toml(table, f"Vision unit: {measured}, as measured by hil calibrate.{given_leds}"), result.out)
     if result.rig_out is not None:
         content = {"extends": base_of(start.rig, result.rig_out), **rig_table(fit.setup, board is None)}
         write_text(as_toml(content, f"Mounting of the cameras, from calibration {label.id}."), result.rig_out)

@@ -29,7 +29,7 @@ from hil.cli.options import (
     above_zero,
     bounded,
 )
-from hil.cli.output import deliver, file_path_problem, say
+from hil.cli.output import commonest, deliver, file_path_problem, say
 from hil.cli.progress import ProgressBar
 from hil.core.files import replaced
 from hil.errors import BadInput
@@ -311,6 +311,7 @@ def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
         "status": dict(sorted(counts.items())),
         "chi2_per_degree": chi2 / degrees if degrees else None,
         "searched": sum(solution.full_frame for solution in measured),
+        "refused": commonest((s.status, str(s.doubt or "")) for s in solutions if s.status != OK),
     }
 
 
@@ -351,7 +352,6 @@ def _write_overlay(folder: Path, unit: VisionUnit, pair: Pair, solution: Solutio
 
 def _print(summary: dict[str, Any], out: str, console: Console) -> None:
     from hil.vmu.estimators import PRINT
-    from hil.vmu.unit import WRONG_SIZE
 
     text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     say(f"{summary['frames']} frames: {text}", console)
@@ -360,6 +360,6 @@ def _print(summary: dict[str, Any], out: str, console: Console) -> None:
     if PRINT in summary["status"]:
         text = 'the target fits several prints, or not the stated one: state print = "official" or "opencv"'
         say(f"{PRINT}: {text} in the geometry file", console, "red")
-    if WRONG_SIZE in summary["status"]:
-        say(f"{WRONG_SIZE}: images of another size than the geometry's", console, "red")
+    for line in summary["refused"]:
+        say(line, console, "red")
     say(f"poses in {out}", console)

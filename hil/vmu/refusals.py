@@ -1,0 +1,72 @@
+"""Reasons of refused pairs in a line of text: what, how much, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from hil.vmu.identify import (
+    AMBIGUOUS,
+    GEOMETRY,
+    GEOMETRY_FILE,
+    NO_MATCH,
+    NOT_TOGETHER,
+    TOO_FEW,
+    LedIdentification,
+)
+from hil.vmu.kernels.records import SATURATED
+from hil.vmu.pose import SolverSettings
+
+BRIGHT_LEVEL: Final = 230
+DARK_LEVELS: Final = 60
+"""An image whose brightest pixel is less above its background is dark."""
+
+
+def contrast(images: Sequence[np.ndarray | None]) -> tuple[int, float]:
+    """Return the brightest level of the images, and by how much it is above the background of its image."""
+    peaks = [(int(image.max()), float(image.max()) - float(np.median(image[::8, ::8]))) for image in images
+             if image is not None]  # fmt: skip
+    return max(peaks, key=lambda peak: peak[1], default=(0, 0.0))
+
+
+def overexposed(image: np.ndarray) -> float:
+    """Return the fraction of an image at or near full scale."""
+    return float((image[::4, ::4] >= BRIGHT_LEVEL).mean())
+
+
+def reason(
+    verdict: LedIdentification, spots: Sequence[np.ndarray], n_leds: int, settings: SolverSettings,
+    swapped: Callable[[], bool],
+) -> str:  # fmt: skip
+    """Return why a pair has no pose, "" if its status is the whole reason. swapped: whether it fits the opposite baseline."""
+    left, right = map(len, spots)
+    lights = f"{left} and {right} lights, {n_leds} LEDs"
+    match verdict.status:
+        case status if status == TOO_FEW and max(left, right) < 3:
+            return f"{lights}: longer exposure, or are LEDs hidden?"
+        case status if status == TOO_FEW:
+            return f"{lights}: so few may be a pattern by chance; a start pose or a track decides"
+        case status if status == NO_MATCH:
+            clipped = sum(int((side["flags"] & SATURATED > 0).sum()) for side in spots)
+            if clipped > max(left, right):
+                return f"{lights}, most at full scale: shorten the exposure"
+            return f"{lights}, none of them in the ring's shape: are leds_m and the focal lengths right?"
+        case status if status == GEOMETRY:
+            return (
+                f"fits only beyond {settings.near_m:g} to {settings.far_m:g} m or {settings.steepest_deg:g} deg of tilt"
+            )
+        case status if status == GEOMETRY_FILE:
+            if swapped():
+                return "would fit with the opposite baseline: images exchanged, or the sign of baseline_m"
+            return "each image alone fits, both disagree along the baseline: baseline_m, leds_m, focal length?"
+        case status if status == NOT_TOGETHER:
+            return "each image alone fits, both disagree: a moving target, state sync_s; or a camera has turned"
+        case status if status == AMBIGUOUS and verdict.open:
+            return "a second pattern of LEDs in the images: a reflection, another ring? Cover it"
+        case status if status == AMBIGUOUS and verdict.jump:
+            return "one pose fits, but it does not continue the track"
+        case status if status == AMBIGUOUS:
+            return f"{len(verdict.candidates)} poses fit {lights}: a raised or a marked LED decides"
+    return ""
