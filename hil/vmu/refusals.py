@@ -40,7 +40,7 @@ def reason(
     verdict: LedIdentification, spots: Sequence[np.ndarray], n_leds: int, settings: SolverSettings,
     swapped: Callable[[], bool],
 ) -> str:  # fmt: skip
-    """Return why a pair has no pose, "" if its status is the whole reason. swapped: whether it fits the opposite baseline."""
+    """Return why a pair has no pose, "" if its status is all. swapped: whether it fits the opposite baseline."""
     left, right = map(len, spots)
     lights = f"{left} and {right} lights, {n_leds} LEDs"
     match verdict.status:
