@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from hil.core.files import read_bytes
-from hil.core.image_files import IMAGE_BYTES, decode_grey
+from hil.core.image_files import IMAGE_BYTES, decode_grey, depth_note
 from hil.core.video import Video
 from hil.errors import BadInput
 
@@ -64,6 +64,11 @@ class ImageFolder:
 
     def __iter__(self) -> Iterator[Pair]:
         return (self.pair(frame) for frame in self.frames)
+
+    def depth_note(self) -> str:
+        """Return how the levels of the first image are read, "" for 8 bits."""
+        first = next(path for paths in self._files.values() for path in paths.values())
+        return depth_note(read_bytes(first, IMAGE_BYTES))
 
     def pair(self, frame: int) -> Pair:
         """Return the images of ``frame``."""

@@ -23,6 +23,7 @@ COMPONENT_WIDTH = 7
 BAD = -1  # label of a defective pixel
 LARGE = -2  # label of a pixel of a component that is too large for a light
 LEFT = -3  # label of one that remains so by the lines of the present length
+_SHAPED_PX, _SLENDER, _SPARSE, _FULL = 24.0, 4.0, 0.15, 0.92  # extent, and limits of the shape of lights
 _APART = 24  # px, half the extent over which a texture is assessed
 _TEXTURE = 2.0  # variance of the sums relative to that of noise, above which the background has a texture
 
@@ -282,3 +283,18 @@ def flood(image, label, name, start, limit, shift, most, queue, first, component
                 end += 1
     component[END] = end
     return end
+
+
+@kernel
+def is_no_light(row, largest):
+    """Return whether a component (COMPONENT_WIDTH,) is too large for a light, or a rectangle, line or frame of a size.
+
+    A light is a disc, at a slant: a fraction pi / 4 of its box.
+    """
+    across, down = row[U1] - row[U0] + 1.0, row[V1] - row[V0] + 1.0
+    if max(across, down) < _SHAPED_PX:
+        return False
+    if max(across, down) - 1.0 > largest or max(across, down) > _SLENDER * min(across, down):
+        return True
+    filled = (row[END] - row[FIRST]) / (across * down)
+    return not _SPARSE < filled < _FULL

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1
+from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1, is_no_light
 from hil.vmu.kernels.fit import DISC, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit, light_fit
 from hil.vmu.kernels.peaks import find_peaks, mark_hot, start_points, sum_patch
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
@@ -30,7 +30,6 @@ _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
 _APART_PX = 1.5  # distance of a second light from the first
 _BLURS = 3.6  # sigmas of the blur beyond the edge of a disc, from which on there is no light
-_SHAPED_PX, _SLENDER, _SPARSE, _FULL = 24.0, 4.0, 0.15, 0.92  # extent, and fraction of its box; of a disc pi / 4
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
 
@@ -254,16 +253,6 @@ def write_spot(frame, component, f, a, stretch, snr, split, spot):
 
 
 @kernel
-def is_round(row):
-    """Return whether a component may be a disc, seen at a slant: a large one that is no rectangle, line or frame."""
-    across, down = row[U1] - row[U0] + 1.0, row[V1] - row[V0] + 1.0
-    if max(across, down) < _SHAPED_PX:
-        return True
-    filled = (row[END] - row[FIRST]) / (across * down)
-    return max(across, down) < _SLENDER * min(across, down) and _SPARSE < filled < _FULL
-
-
-@kernel
 def measure(frame, component, spots, count, noise):
     """Append the lights of a component to ``spots`` and return the new count.
 
@@ -271,7 +260,7 @@ def measure(frame, component, spots, count, noise):
     """
     noise[0] = noise[1] = 0.0
     row, limits = component.row, frame.limits
-    if max(row[U1] - row[U0], row[V1] - row[V0]) > limits.largest or not is_round(row):
+    if is_no_light(row, limits.largest):
         return count
     hot = mark_hot(frame, component)
     patch = np.empty((row[V1] - row[V0] + 1, row[U1] - row[U0] + 1))

@@ -195,6 +195,9 @@ def search_level(scene, view, settings, c, level, index, count, allowed, some, s
     spare = 1 if view.counts[1 - c] > 0 else 0
     for k in range(2, min(count - level + 3 + spare, count)):
         for j in range(1, k):
+            if state[STATE_TRIPLES] >= settings.most_triples:
+                state[STATE_FULL] = 1
+                return
             for i in range(j):
                 trio[0], trio[1], trio[2] = index[i], index[j], index[k]
                 search_triple(scene, view, settings, c, trio, level, allowed, some, starts, fits, state)

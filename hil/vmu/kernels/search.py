@@ -33,7 +33,7 @@ _SAMPLES = 36  # samples of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
 _SMALL = 300  # pixels of a component that is soon fitted
-_MANY = 48  # components
+_MANY = 16  # components
 _WHOLE = 30  # of ``flood``: one block, the image
 _LIGHTS = 4  # squares of the largest light: pixels of the largest component
 
@@ -145,13 +145,12 @@ def _typical(level, dark, k):
 
 @kernel
 def by_priority(frame, components, lights, count):
-    """Return the order in which components are measured: of many the highest and smallest first, as work is limited."""
-    order = np.arange(count)
-    if count <= _MANY:
-        return order
+    """Return the order in which components are measured, as work is limited: small ones first, of many the highest."""
     rank = np.empty(count)
     for k in range(count):
-        rank[k] = 1e6 if components[k, END] - components[k, FIRST] > _SMALL else 0.0
+        rank[k] = float(k) + (1e6 if components[k, END] - components[k, FIRST] > _SMALL else 0.0)
+        if count <= _MANY:
+            continue
         peak = 0
         for at in range(components[k, FIRST], components[k, END]):
             v, u = frame.queue[at] // frame.image.shape[1], frame.queue[at] % frame.image.shape[1]

@@ -24,6 +24,7 @@ from hil.vmu.kernels.components import (
     V0,
     V1,
     flood,
+    is_no_light,
     level_and_variance,
     sum_of_nine,
 )
@@ -60,14 +61,14 @@ def is_fringe(label, components, k):
 
 @kernel
 def split_large(frame, components, lights, count):
-    """Replace the components that are too large for a light by the lights in them; return the number of all.
+    """Replace the components that are no lights by the lights in them; return the number of all.
 
     Lights that belong to none of them stay as they are. TOO_MANY, -1, if these are too many.
     """
     rows, columns = frame.image.shape
     u0, v0, u1, v1 = columns, rows, -1, -1
     for k in range(count):
-        if is_large(components[k], frame.limits.largest):
+        if is_no_light(components[k], frame.limits.largest):
             u0, v0 = min(u0, components[k, U0]), min(v0, components[k, V0])
             u1, v1 = max(u1, components[k, U1]), max(v1, components[k, V1])
     if u1 < 0:
@@ -77,7 +78,7 @@ def split_large(frame, components, lights, count):
         fringe[k] = is_fringe(frame.label, components, k)
     kept, end = 0, 0
     for k in range(count):
-        large = is_large(components[k], frame.limits.largest)
+        large = is_no_light(components[k], frame.limits.largest)
         first = components[k, FIRST]
         n = components[k, END] - first
         for at in range(n):

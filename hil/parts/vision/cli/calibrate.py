@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["opencv", "kalibr", "ros"]
 _PASSED, _FAILED = 0, 1
+_LEAST_SQUARE_MM = 1.0
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
@@ -459,6 +460,8 @@ def _board(start: InitialGuessOptions) -> Board | None:
 def _board_problems(board: str | None, square_mm: OptionalPositive) -> list[Problem]:
     if board is None:
         return [Problem("--square-mm", "", "goes with --board only")] if square_mm is not None else []
+    if square_mm is not None and square_mm < _LEAST_SQUARE_MM:
+        return [Problem("--square-mm", "", f"{square_mm:g}: at least {_LEAST_SQUARE_MM:g} mm; is this in metres?")]
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
     if match is None:
         return [Problem("--board", "", f"{board}: must be COLUMNSxROWS of inner corners, as 11x8")]

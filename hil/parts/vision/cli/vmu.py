@@ -161,6 +161,8 @@ def vmu(
     live = isinstance(images, StreamPairs) and images.live
     endless = live or cameras is not None
     console = Console(stderr=True)
+    if isinstance(images, ImageFolder) and (note := images.depth_note()):
+        say(note, console)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
         unit = VisionUnit(loaded) if start.rig is None else _estimator(start.rig, loaded)
         unit.warm_up()
