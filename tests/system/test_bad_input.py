@@ -217,7 +217,7 @@ def test_more_runs_than_fit_into_memory_are_refused(tmp_path: Path, capsys: pyte
     ("error", "words"),
     [
         (OSError(errno.EMFILE, "Too many open files"), "raise the limit, ulimit -n"),
-        (RuntimeError("can't start new thread"), "raise the limit, ulimit -u"),
+        (RuntimeError("can't start new thread"), "raise the limits, ulimit -u and -v"),
     ],
 )
 def test_limit_of_the_host_is_one_line_and_no_internal_error(
