@@ -20,14 +20,14 @@ from cyclopts import App
 
 from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
-from hil.core.incomplete import take_incomplete
+from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
 from hil.core.surroundings import host_limit, leave_process, remove_temporary_folders, settle_matplotlib
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
-PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT, INCOMPLETE = range(6)
+PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""

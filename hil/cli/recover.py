@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from hil.cli.output import say
+from hil.core.incomplete import INCOMPLETE
 
 
 def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None) -> int:
@@ -29,4 +30,4 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
         recovered = f"{outcome.messages} messages over {outcome.length_s:.2f} s recovered"
         text = f"{outcome.out}: {recovered}; the old file is {outcome.problem}"
     say(text)
-    return 0
+    return INCOMPLETE if outcome.damaged else 0

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Final
+
+INCOMPLETE: Final = 5
+"""Exit code of a command that was done with what could be read of a recording."""
 
 log = logging.getLogger("hil")
 _noted: list[Path] = []

@@ -19,13 +19,14 @@ from hil.recording.writer import BlockFile
 class Recovered:
     """Result of a recovery. out: the new file, None if the old one is intact. length_s: first to last message.
 
-    problem: what of the old file is not in it, and why.
+    problem: what of the old file is not in it, and why. damaged: places of it, without a cut end.
     """
 
     out: Path | None
     messages: int
     problem: str
     length_s: float
+    damaged: int = 0
 
 
 def recover(path: Path, out: Path | None = None) -> Recovered:
@@ -38,6 +39,8 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     counted = _count(scan)
     if scan.intact:
         return counted
+    if scan.unsupported:
+        raise BadInput.single(str(path), "", scan.problem)
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     try:
         file = BlockFile(out)
@@ -47,13 +50,13 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     if file.problem:
         out.unlink()
         raise BadInput.single("--out", "", f"{out}: {file.problem}")
-    return Recovered(out, counted.messages, counted.problem, counted.length_s)
+    return Recovered(out, counted.messages, counted.problem, counted.length_s, counted.damaged)
 
 
 def _count(scan: Scan) -> Recovered:
     times = [record.log_time for record in scan.records() if isinstance(record, Message)]
     length_s = (max(times) - min(times)) * 1e-9 if times else 0.0
-    return Recovered(None, len(times), scan.problem, length_s)
+    return Recovered(None, len(times), scan.problem, length_s, scan.damaged)
 
 
 def _copy(path: Path, file: BlockFile) -> None:

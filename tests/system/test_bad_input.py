@@ -70,7 +70,7 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("rig.vmu.driver=rs422", ("vmu.driver", "mock")),
         ("rig.io.thruster_lines=3", ("rig.io.thruster_lines", "allowed", "or 0 for none")),
         ("orbit.altitude_m=-1000.0", ("orbit.altitude_m", "-1000", "greater than 0")),
-        ("orbit.eccentricity=0.2", ("orbit.eccentricity", "0.2", "less than 0.1")),
+        ("orbit.eccentricity=0.8", ("orbit.eccentricity", "0.8", "less than or equal to 0.7")),
         ("truth.relative_motion=kepler", ("truth.relative_motion", "kepler", "'hill' or 'nonlinear'")),
         ("truth.gravity_degree=9", ("truth.gravity_degree", "9", "allowed 0 to 8")),
         ("truth.gravity_degree=-1", ("truth.gravity_degree", "-1", "0")),
@@ -217,7 +217,7 @@ def test_more_runs_than_fit_into_memory_are_refused(tmp_path: Path, capsys: pyte
     ("error", "words"),
     [
         (OSError(errno.EMFILE, "Too many open files"), "raise the limit, ulimit -n"),
-        (RuntimeError("can't start new thread"), "raise the limit, ulimit -u"),
+        (RuntimeError("can't start new thread"), "raise the limits, ulimit -u and -v"),
     ],
 )
 def test_limit_of_the_host_is_one_line_and_no_internal_error(

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 import hil
-from hil.cli.main import FAILED, INCOMPLETE, PASSED, execute
+from hil.cli.main import BAD_INPUT, FAILED, INCOMPLETE, PASSED, execute
 from hil.errors import BadInput
 from hil.recording.read import Contents, contents, load, ordered_log
 from tests.support.hostile_files import chunk, message
@@ -195,6 +195,9 @@ def test_what_is_not_supported_is_not_called_damaged(path: Path, tmp_path: Path,
     problem = contents(other).problem
     assert problem.startswith(reason)
     assert "messages are read" in problem
+    recovered = execute(["recover", str(other)])
+    assert recovered == (BAD_INPUT if problem.startswith("not supported") else INCOMPLETE)
+    assert other.with_name("other.recovered.mcap").exists() == (recovered == INCOMPLETE)
 
 
 def test_own_recordings_state_the_checksum_of_their_data(path: Path) -> None:
