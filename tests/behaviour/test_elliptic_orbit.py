@@ -43,7 +43,7 @@ def test_case_of_a_campaign_gives_the_gnc_the_dispersed_orbit_with_the_errors_of
 @pytest.mark.parametrize(
     ("setting", "text"),
     [
-        ("gnc.ephemeris.eccentricity_error=-0.01", "-0.01: the GNC would have -0.01, allowed 0 to below 0.1"),
+        ("gnc.ephemeris.eccentricity_error=-0.01", "-0.01: the GNC would have -0.01, allowed 0 to 0.7"),
         ("gnc.ephemeris.semi_major_axis_error_m=-1e6", "-1e+06: the GNC would have an orbit inside the Moon"),
     ],
 )
