@@ -74,11 +74,12 @@ class Technician:
             except BlockingIOError:
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(0.05)
-            for found in re.finditer(r"(Operator's name: |\[y/n\] )", self.shown[answered:]):
+            for found in re.finditer(r"(Operator's name: |\[y (\d\d) / n\] )", self.shown[answered:]):
                 question = self.shown[answered : answered + found.end()]
                 answered += found.end()
                 reply = next((text for words, text in self._answers.items() if words in question), "n")
-                os.write(self._ours, f"{reply}\n".encode())
+                digits = f" {found[2]}" if reply == "y" else ""
+                os.write(self._ours, f"{reply}{digits}\n".encode())
                 break
 
 
