@@ -78,7 +78,7 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
 @pytest.mark.parametrize(
     ("fault", "axis", "what", "found"),
     [
-        ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor have opposite signs"),
+        ("rails: on reversed y", Y, "rails.y: first move", "by the encoder; encoder and motor have opposite signs"),
         ("rails: on mirrored y", Y, "rails.y: sign", "measured; motor and encoder both have the wrong sign"),
         pytest.param(
             "rails: on scaled y 1.1",

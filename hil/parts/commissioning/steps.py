@@ -178,7 +178,8 @@ class Commissioning:
         measured = self._measured(mover, axis) - reading
         for value, source in ((travelled, "by the encoder"), (measured, "measured")):
             if abs(value) > largest:
-                advice = "its units of position and velocity, and its gear, in drive and rig file"
+                signs = "encoder and motor have opposite signs, or check " if value * commanded < 0.0 else ""
+                advice = f"{signs}its units of position and velocity, and its gear, in drive and rig file"
                 raise StepFailed(
                     f"{name}: first move", shown(axis, commanded), f"{shown(axis, value)} {source}", advice
                 )
