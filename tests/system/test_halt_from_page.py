@@ -302,7 +302,8 @@ def test_page_shows_how_old_its_values_are_and_then_sends_halts_alone(delay_s: f
         page.evaluate("void document.getElementById('order_abort').click()")
         until(
             page,
-            "/^(values are .* s old|no connection): abort was not sent$/.test(document.getElementById('answer').textContent)",
+            "/^(values are .* s old|no connection): abort was not sent$/"
+            ".test(document.getElementById('answer').textContent)",
         )
         page.key("x", "KeyX")
         until(page, "window.cells.sent.length > 0")
