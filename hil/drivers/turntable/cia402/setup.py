@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-
-import canopen
+from collections.abc import Sequence
 
 from hil.config.rig import Cia402
-from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.eds import Eds
-from hil.drivers.turntable.cia402.sdo import DriveObjects, Handler
+from hil.drivers.turntable.cia402.sdo import DriveObjects
 from hil.drivers.turntable.cia402.units import Units, units_of
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
@@ -32,25 +28,13 @@ class DriveSetup(DriveObjects):
     the setpoint holds a velocity, the feedback one), watchdogs, beats (whether it sends heartbeats).
     """
 
-    def __init__(
-        self,
-        port: CanPort,
-        network: canopen.Network,
-        node_id: int,
-        axis: str,
-        eds: Eds,
-        others: Handler,
-        clock: BenchClock,
-    ) -> None:
-        super().__init__(port, network, node_id, axis, eds, others, clock)
-        self.units = Units(1.0, None)
-        self.stream = codec.CYCLIC_SYNCHRONOUS_POSITION
-        self.has_offset = self.has_velocity = False
-        self.watchdogs: list[str] = []
-        self.watchdog_s = 0.0
-        self._enabled_since_s: float | None = None
-        self.beats = False
-        self.position = 0
+    units = Units(1.0, None)
+    stream = codec.CYCLIC_SYNCHRONOUS_POSITION
+    has_offset = has_velocity = beats = False
+    watchdogs: Sequence[str] = ()
+    watchdog_s = 0.0
+    position = 0
+    _enabled_since_s: float | None = None
 
     def identify(self, config: Cia402) -> None:
         """Check that this is a CiA 402 drive, the one that the rig file asks for, and that their units agree."""
