@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+from hil.maths import linear
 
 _BASELINE_M, _LED_M, _FOCAL = 10.0, 20.0, (0.05, 200.0)
 """Largest sizes of a bench, and focal lengths in widths of the image."""
@@ -125,10 +125,6 @@ class Tolerances(ConfigModel):
     """Time between the exposures of both cameras: 0 with a common trigger."""
 
 
-def _length(vector: Sequence[float]) -> float:
-    return math.sqrt(sum(x * x for x in vector))
-
-
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
@@ -156,10 +152,10 @@ class VmuGeometry(ConfigModel):
     @model_validator(mode="after")
     def _sizes_are_of_a_bench(self) -> Self:
         for name, points, largest in (("baseline_m", (self.baseline_m,), _BASELINE_M), ("leds_m", self.leds_m, _LED_M)):
-            longest = max(_length(point) for point in points)
+            longest = max(linear.length(point) for point in points)
             if longest > largest:
                 raise ValueError(f"{name}: {longest:g} m, allowed {largest:g} m: millimetres?")
-        turn = _length(self.right_rotation_rad)
+        turn = linear.length(self.right_rotation_rad)
         if turn > math.pi + 1e-9:
             raise ValueError(f"right_rotation_rad: {turn:g} rad, allowed 3.1416 rad: degrees?")
         for side in ("left", "right"):

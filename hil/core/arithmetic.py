@@ -6,15 +6,16 @@ import importlib.metadata
 from collections.abc import Mapping
 from typing import Final
 
+from hil.core.program_digest import PACKAGES
+
 FORMULAS: Final = 2
 """Version of the functions and orders of sums that determine a run; 1: the C library, BLAS and LAPACK."""
 _KEY: Final = "formulas"
-_PACKAGES: Final = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
 
 
 def formula_versions() -> dict[str, str]:
     """Return the versions of the formulas and of the packages that can matter, by the keys of a recording."""
-    return {_KEY: str(FORMULAS), **{name: importlib.metadata.version(name) for name in _PACKAGES}}
+    return {_KEY: str(FORMULAS), **{name: importlib.metadata.version(name) for name in PACKAGES}}
 
 
 def why_bits_may_differ(run: Mapping[str, str]) -> str:

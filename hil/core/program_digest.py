@@ -9,21 +9,21 @@ import importlib.util
 import os
 import sys
 
-_PACKAGES = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
+PACKAGES = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
 
 
 def program():
     # type: () -> dict[str, str]
     """Return versions and the digest of the program's sources; "none" for what is not installed."""
-    found = {"hil": _version("hil-bench"), "digest": "none"}
+    identity = {"hil": _version("hil-bench"), "digest": "none"}
     spec = importlib.util.find_spec("hil")
     if spec is None or not spec.submodule_search_locations:
-        found["hil"] = "none"
+        identity["hil"] = "none"
     else:
-        found["digest"] = _digest(next(iter(spec.submodule_search_locations)))
-    found["python"] = f"{sys.version_info[0]}.{sys.version_info[1]}"
-    found.update({name: _version(name) for name in _PACKAGES})
-    return found
+        identity["digest"] = _digest(next(iter(spec.submodule_search_locations)))
+    identity["python"] = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    identity.update({name: _version(name) for name in PACKAGES})
+    return identity
 
 
 def _version(name):
