@@ -93,19 +93,11 @@ def test_field_is_cut_off_at_the_degree_asked_for() -> None:
         read(reference.SHIPPED).up_to(9)
 
 
-def test_gmat_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    text = "\n".join(cof_lines()) + "\n"
-    path = tmp_path / "cut.cof"
-    for length in range(0, len(text) - 5, 7):
-        path.write_text(text[:length], encoding="ascii")
-        with pytest.raises(GravityFileError):
-            read(path)
-
-
-def test_icgem_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    text = "\n".join(gfc_lines()) + "\n"
-    path = tmp_path / "cut.gfc"
-    for length in range(0, len(text) - 2, 7):
+@pytest.mark.parametrize(("name", "lines", "end"), [("cut.cof", cof_lines(), 5), ("cut.gfc", gfc_lines(), 2)])
+def test_file_of_lines_cut_anywhere_is_refused(name: str, lines: list[str], end: int, tmp_path: Path) -> None:
+    text = "\n".join(lines) + "\n"
+    path = tmp_path / name
+    for length in range(0, len(text) - end, 7):
         path.write_text(text[:length], encoding="ascii")
         with pytest.raises(GravityFileError):
             read(path)
