@@ -217,8 +217,8 @@ class Scan:
         stated = self.index.statistics if self.index is not None else None
         if stated is None or self.damaged or self.unsupported:
             return
-        found = (self.messages, counts[Opcode.ATTACHMENT], counts[Opcode.METADATA])
-        if found != (stated.message_count, stated.attachment_count, stated.metadata_count):
+        actual = (self.messages, counts[Opcode.ATTACHMENT], counts[Opcode.METADATA])
+        if actual != (stated.message_count, stated.attachment_count, stated.metadata_count):
             self.damaged += 1
 
     def _parsed(self, opcode: int, content: bytes) -> list[McapRecord]:

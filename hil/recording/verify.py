@@ -23,15 +23,15 @@ def content_problems(paths: Iterable[Path]) -> list[str] | None:
     """
     problems = []
     for path in paths:
-        stated, found = _contents(path)
+        stated, actual = _contents(path)
         if not stated:
             return None
         for key, value in stated.items():
             topic, count = key.removeprefix(KEY), value.partition(" ")[0]
-            now = found.get(key, "0").partition(" ")[0]
+            now = actual.get(key, "0").partition(" ")[0]
             if now != count:
                 problems.append(f"has {now} of {count} messages of {topic}")
-            elif found[key] != value:
+            elif actual[key] != value:
                 problems.append(f"{topic}: messages were edited, or have other times")
     return problems
 
@@ -40,13 +40,13 @@ def _contents(path: Path) -> tuple[Mapping[str, str], Mapping[str, str]]:
     """Return the content that the end of a file states, and the one that it has."""
     topics = {number: channel.topic for number, channel in directory(path)[1].items()}
     stated: dict[str, str] = {}
-    found = ContentDigest()
+    content = ContentDigest()
     for record in Scan(path).records():
         match record:
             case Message() if record.channel_id in topics:
-                found.add(topics[record.channel_id], record.log_time, record.data)
+                content.add(topics[record.channel_id], record.log_time, record.data)
             case Metadata(name=writer.END):
                 stated = {key: value for key, value in record.metadata.items() if key.startswith(KEY)}
             case _:
                 pass
-    return stated, found.keys
+    return stated, content.keys

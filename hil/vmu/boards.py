@@ -71,20 +71,20 @@ class BoardEstimator:
 
         ``rejected_print``: the tags in view fit several ways to print them, or not the stated one but another.
         """
-        found = [None if image is None else self._detect(image) for image in (left, right)]
-        results = self._results(found, self._readers, t_s)
+        detected = [None if image is None else self._detect(image) for image in (left, right)]
+        results = self._results(detected, self._readers, t_s)
         if len(results) == 1:
             is_doubtful = results[0].status in (NO_MATCH, TOO_FEW)
-            others = self._results(found, self._others, t_s) if is_doubtful else []
+            others = self._results(detected, self._others, t_s) if is_doubtful else []
             return PoseEstimate(t_s, PRINT) if any(other.status == _OK for other in others) else results[0]
         possible = [result for result in results if result.status in (_OK, _AMBIGUOUS)]
-        if len(possible) == 1 and not _is_single_tag(found):
+        if len(possible) == 1 and not _is_single_tag(detected):
             return possible[0]
         rest = [result for result in results if result.status not in (NO_MATCH, TOO_FEW)]
         return PoseEstimate(t_s, PRINT) if possible else (rest or results)[0]
 
-    def _results(self, found: Sequence[Any], readers: Sequence[Reader], t_s: float) -> list[PoseEstimate]:
-        return [self._solve([{} if image is None else read(image) for image in found], t_s) for read in readers]
+    def _results(self, detected: Sequence[Any], readers: Sequence[Reader], t_s: float) -> list[PoseEstimate]:
+        return [self._solve([{} if image is None else read(image) for image in detected], t_s) for read in readers]
 
     def _solve(self, corners: list[Corners], t_s: float) -> PoseEstimate:
         """Return the pose by the corners of both images, with all of which it agrees."""
@@ -208,17 +208,17 @@ def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimat
     def detect(image: np.ndarray) -> dict[int, Array]:
         """Return the corners (4, 2) of each tag, in OpenCV's order; nan for a tag that is in the image twice."""
         quads, ids, _ = detector.detectMarkers(image)
-        found: dict[int, Array] = {}
+        detected: dict[int, Array] = {}
         for quad, k in zip(quads, [] if ids is None else map(int, ids.ravel()), strict=False):
             corners = refined(image, np.reshape(quad, (4, 2)).astype(float), cells) if k in number else None
             if corners is not None:
-                found[number[k]] = np.full((4, 2), np.nan) if number[k] in found else corners
-        return found
+                detected[number[k]] = np.full((4, 2), np.nan) if number[k] in detected else corners
+        return detected
 
     def reader(shift: int) -> Callable[[dict[int, Array]], Corners]:
-        return lambda found: {
+        return lambda detected: {
             first + (n + shift) % _TAG: (float(u), float(v))
-            for first, corners in found.items()
+            for first, corners in detected.items()
             for n, (u, v) in enumerate(corners)
         }
 
@@ -227,9 +227,9 @@ def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimat
     return BoardEstimator(geometry, chosen.corners(), detect, readers, others, chosen.corner_px, chosen.board(ways[0]))
 
 
-def _is_single_tag(found: Sequence[Any]) -> bool:
+def _is_single_tag(detected: Sequence[Any]) -> bool:
     """Return whether both images together show one tag only, which leaves open how it is printed."""
-    tags = [set(image) for image in found if isinstance(image, dict)]
+    tags = [set(image) for image in detected if isinstance(image, dict)]
     return len(set().union(*tags)) == 1
 
 

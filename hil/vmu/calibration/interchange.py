@@ -50,12 +50,12 @@ def read_pair(kind: Kind, paths: Sequence[Path], nominal: VmuGeometry) -> VmuGeo
     if kind == "ros":
         if len(tables) != 2:
             raise BadInput.single("VIEWS", "", "give the camera_info of both cameras: left.yaml,right.yaml")
-        found = _of_ros(paths, tables)
+        cameras = _of_ros(paths, tables)
     else:
         source, merged = ",".join(map(str, paths)), {key: value for table in tables for key, value in table.items()}
-        found = _of_opencv(source, merged) if kind == "opencv" else _of_kalibr(source, merged)
+        cameras = _of_opencv(source, merged) if kind == "opencv" else _of_kalibr(source, merged)
     try:
-        return VmuGeometry.model_validate(nominal.model_dump(exclude={"calibration"}) | found)
+        return VmuGeometry.model_validate(nominal.model_dump(exclude={"calibration"}) | cameras)
     except ValidationError as error:
         first = error.errors()[0]
         key, text = ".".join(map(str, first["loc"])), str(first["msg"]).removeprefix("Value error, ")

@@ -264,14 +264,16 @@ def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
     from hil.vmu.kernels.records import SPOT
     from hil.vmu.unit import Pose, Solution
 
-    found = solve_pair(unit, pair.left, pair.right, t_s)
-    if isinstance(found, Solution):
-        return found
+    solved = solve_pair(unit, pair.left, pair.right, t_s)
+    if isinstance(solved, Solution):
+        return solved
     pose, none = None, np.zeros(0, SPOT)
-    if isinstance(found, PoseEstimate) and found.t_v is not None and found.covariance is not None:
-        assert found.q_vt is not None
-        pose = Pose(found.t_v, found.q_vt, found.covariance, found.covariance if found.noise is None else found.noise)
-    return Solution(t_s, found.status, pose, (none, none), ((), ()))
+    if isinstance(solved, PoseEstimate) and solved.t_v is not None and solved.covariance is not None:
+        assert solved.q_vt is not None
+        pose = Pose(
+            solved.t_v, solved.q_vt, solved.covariance, solved.covariance if solved.noise is None else solved.noise
+        )
+    return Solution(t_s, solved.status, pose, (none, none), ((), ()))
 
 
 def row(frame: int, solution: Solution) -> dict[str, Any]:
