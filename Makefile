@@ -64,6 +64,7 @@ oracle: .venv-oracle/ready
 	.venv-oracle/bin/python -m pytest tests/oracle
 
 bench: .venv-oracle/ready
+	.venv-oracle/bin/python benchmarks/loop_stages.py
 	.venv-oracle/bin/python benchmarks/filters.py
 	.venv-oracle/bin/python benchmarks/truth_step.py
 	.venv-oracle/bin/python benchmarks/campaign.py
