@@ -126,9 +126,10 @@ def names_of(command: str, folder: Path) -> dict[str, Any]:
 
 
 def _printed(text: str) -> Callable[[str, int], float]:
-    def number(line: str, k: int) -> float:
-        lines = (" ".join(each.split()) for each in text.splitlines())
-        behind = next(each.partition(line)[2] for each in lines if line in each)
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+
+    def number(begin: str, k: int) -> float:
+        behind = next(line.partition(begin)[2] for line in lines if begin in line)
         return float(re.findall(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", behind)[k])
 
     return number
@@ -179,8 +180,8 @@ def main() -> int:
     """Measure the rows and print their numbers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("text", nargs="?", default="")
-    parser.add_argument("--all", action="store_true")
-    parser.add_argument("--write", action="store_true")
+    for option in ("--all", "--write"):
+        parser.add_argument(option, action="store_true")
     given = parser.parse_args()
     outside = total = 0
     for row in (each for each in rows() if given.text in str(each)):
