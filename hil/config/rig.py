@@ -123,7 +123,7 @@ class BenchAxis(ConfigModel):
     """Keys of a rail and of a gimbal alike. An axis with an incremental encoder must be homed after power-up.
 
     Travel, limits and positions are in metres or degrees, by the keys of the subclass. An axis that is fixed needs its
-    position alone, key ``fixed``: it has no drive, and what the file says of one does not count.
+    position alone, key ``fixed``: it has no drive, and keys of a drive in the file do not count.
     """
 
     gravity_loaded: bool = False
