@@ -22,6 +22,7 @@ from hil.api.jobs import (
 )
 from hil.api.results import Run, run_of
 from hil.checks.go_level import go_warnings
+from hil.checks.observability import observed_by
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
@@ -180,7 +181,7 @@ class RunRequest:
 def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
-    for line in go_warnings(job.scenario.value, job.rig.value):
+    for line in (*observed_by(job.scenario.value, job.rig.value), *go_warnings(job.scenario.value, job.rig.value)):
         request.announce(line)
     with ExitStack() as stack:
         recorder = None
