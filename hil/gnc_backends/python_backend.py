@@ -15,10 +15,10 @@ import numpy as np
 
 from hil.core.fields import described, offset_of
 from hil.core.gnc_records import INPUTS, OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_BYTES, GncMode
+from hil.core.own_code import raised_text
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError, ProtocolError
 from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance, address_of
-from hil.gnc_backends.output_texts import raised_text
 
 _RAISED: Final = 1
 _LARGE: Final = 1000  # bound of demands, states and health
