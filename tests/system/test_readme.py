@@ -1,4 +1,4 @@
-"""The verdict that the README shows is the one that ``hil run scheme-1`` prints."""
+"""The verdicts that README and first tutorial show are those that their commands print."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 
 from hil.cli.main import execute
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = {"README.md": ["run", "scheme-1"], "docs/tutorials/first-flight.md": ["run", "scheme-1", "--seed", "7"]}
+"""Page -> command whose verdict it shows."""
 
 
 def lines_of(text: str) -> list[str]:
@@ -17,10 +19,11 @@ def lines_of(text: str) -> list[str]:
     return [line.replace("┃", "│").rstrip() for line in text.splitlines()]
 
 
-def test_verdict_in_the_readme_is_printed_by_the_run(capsys: pytest.CaptureFixture[str]) -> None:
-    block = re.search(r"The verdict of `make demo`:\n\n```\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+@pytest.mark.parametrize("page", SAMPLES)
+def test_verdict_of_a_page_is_printed_by_its_command(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    block = re.search(r"```\n(Ready phase: largest.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
     assert block is not None
     shown = [line for line in lines_of(block[1]) if line.strip() != "..."]
-    assert execute(["run", "scheme-1"]) == 0
+    assert execute(SAMPLES[page]) == 0
     printed = lines_of(capsys.readouterr().out)
     assert [line for line in printed if line in shown] == shown
