@@ -20,6 +20,7 @@ from hil.api.jobs import (
 )
 from hil.api.results import Run, run_of
 from hil.checks.go_level import go_warnings
+from hil.checks.unseen import unseen_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
@@ -178,7 +179,8 @@ class RunRequest:
 def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
-    for line in go_warnings(job.scenario.value, job.rig.value):
+    scenario, rig = job.scenario.value, job.rig.value
+    for line in (*unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
         request.announce(line)
     with ExitStack() as stack:
         recorder = None

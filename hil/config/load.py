@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar, get_origin
 from pydantic import BaseModel, ValidationError
 
 from hil.config.protocol import Protocol
-from hil.config.rig import Rig
+from hil.config.rig import Rig, with_fixed_axes
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.tables.body import CentralBody
@@ -177,6 +177,7 @@ def check_table(
     table: Table, model: type[Model], source: str, origin: Mapping[str, str] | None = None, prefix: str = ""
 ) -> Loaded[Model]:
     """Return ``table`` as ``model``; raise BadInput with all errors. prefix: of the keys in messages."""
+    table = with_fixed_axes(table) if model is Rig else table
     try:
         # via JSON: its strict mode accepts lists for tuples and integers for floats, nothing else
         value = model.model_validate_json(json.dumps(table, default=str))

@@ -89,6 +89,8 @@ class Chaser(ConfigModel):
     """Nominal inertia in c about the reference point."""
     propellant_gyration_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     """Radius of gyration of the propellant about each axis of c; what is used takes its inertia along, none if 0."""
+    planar: bool = False
+    """Moves in the x-z plane of H and turns about y alone, as on a level floor: truth and demands are held in it."""
     thrusters: Thrusters
 
     solar_array: SolarArray | None = None

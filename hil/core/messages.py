@@ -317,7 +317,7 @@ class AxisFeedback:
 
     position: shape (n,), m or rad; rate: shape (n,), m/s or rad/s; t_s: bench time of the sample.
     homing: of each axis; only at DONE does its position refer to the bench. limit: limit switch that
-    each axis is on, -1 the low one, 1 the high one, 0 none.
+    each axis is on, -1 the low one, 1 the high one, 0 none. Unless given: all axes are at DONE, and on no switch.
     """
 
     t_s: float
@@ -325,6 +325,14 @@ class AxisFeedback:
     rate: Array
     homing: tuple[Homing, ...] = HOMED
     limit: tuple[int, ...] = NO_LIMIT
+
+    def __post_init__(self) -> None:
+        """Give groups of other than three axes the defaults of their number of axes."""
+        n = len(self.position)
+        if n != len(HOMED) and (self.homing is HOMED or self.limit is NO_LIMIT):
+            homing, limit = (Homing.DONE,) * n, (0,) * n
+            object.__setattr__(self, "homing", homing if self.homing is HOMED else self.homing)
+            object.__setattr__(self, "limit", limit if self.limit is NO_LIMIT else self.limit)
 
 
 class IoInputs(NamedTuple):

@@ -256,6 +256,11 @@ def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Itera
         fraction = bench.share_of_navigation_error
         share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
         yield f"Bench       camera error {errors}{share}"
+    if bench.unseen_m is not None and bench.unseen_deg is not None:
+        yield (
+            f"[yellow]            not shown: up to x y z {number('.3f')(bench.unseen_m)} m in H, "
+            f"{number('.3f')(bench.unseen_deg)} deg about c, by axes without a drive[/]"
+        )
     if text := _energy_added_text(bench.energy or {}):
         yield f"            {text}"
     if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,7 @@ from hil.parts.vision.replay_images import ImageComponent, ImagesReplayed, repla
 from hil.recording.read import Recorded, load
 
 _SAME, _DIFFERS = 0, 1
-_SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", 57.29577951308232), "m/s": ("mm/s", 1e3)}
+_SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 
 
 def replay_images(
