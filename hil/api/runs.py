@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Unpack
 
-import numpy as np
-
 from hil.api.jobs import (
     BackendArguments,
     Faults,
@@ -28,6 +26,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
 from hil.core.part import provided
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
@@ -55,6 +54,7 @@ class RunArguments(BackendArguments, total=False):
     dispersions: str | Path | None
 
 
+@public
 def run(
     scenario: str | Path | Scenario,
     rig: str | Path | Rig = "mock",
@@ -129,8 +129,6 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
-        raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
     chosen, more, note = provided("case")(job, int(case), folder)
     if note:
         log.warning(note)
