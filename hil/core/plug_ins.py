@@ -53,8 +53,7 @@ def note_calls(write: Callable[[str], None]) -> None:
 
 def call(device: str, method: Callable[..., T], *arguments: Any) -> T:
     """Return what ``method`` returns. Raises PlugInError for what it raises other than a BenchError."""
-    owner: type[object] = type(getattr(method, "__self__", None))
-    calls = _calls if _calls and is_plug_in(owner) else ()
+    calls = _calls if _calls and is_plug_in(type(getattr(method, "__self__", None))) else ()
     for each in calls:
         each.note(f"{device} {method_text(method)}")
     try:
@@ -143,7 +142,6 @@ def _parts_of(whole: object, depth: int) -> Iterator[object]:
         yield from _parts_of(part, depth - 1)
 
 
-@cache
 def is_plug_in(kind: type) -> bool:
     """Return whether a class is of another package."""
     return kind.__module__.partition(".")[0] not in ("hil", "builtins")

@@ -120,7 +120,8 @@ class WiredBench:
             *(each.name for each in ended),
         ):  # ended in lock-step
             texts, ended = [f"calling {each}" for each in self.calls(IO)], []
-        texts += [f"{each.name} {each.end_text()}" for each in ended if each.end_text() not in str(fault)]
+        if all(each.end_text() not in str(fault) for each in ended):  # otherwise the others have ended because of it
+            texts += [f"{each.name} {each.end_text()}" for each in ended]
         if isinstance(fault, LinkLost | LinkTimeout) and not ended:
             of_device = [each for name, each in self.wires.emulators.items() if name.partition(".")[0] == fault.device]
             silent = [each for name, each in self._all_processes.items() if f"{name} process" in str(fault)]
@@ -169,8 +170,8 @@ class WiredBench:
 
     def _assembled(self, parts: SessionParts, rate: Rate) -> Runner:
         scenario = self.job.scenario.value
-        sources = [*open_datagrams(scenario, self.clock), *line_sensors(scenario, self.rig, self.clock)]
-        parts.sample_sources[:0] = sources
+        parts.sample_sources[:0] = line_sensors(scenario, self.rig, self.clock)
+        parts.sample_sources[:0] = open_datagrams(scenario, self.clock)
         return assemble(self.job, self.rig, rate, self.devices, parts)
 
 
