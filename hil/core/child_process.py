@@ -27,7 +27,7 @@ from typing import Any, Final, Protocol, Self, cast
 from weakref import WeakValueDictionary
 
 from hil.core.fork_server import ForkedProcess, ForkServer
-from hil.core.plug_ins import plug_in_error, without_exit
+from hil.core.plug_ins import kernel_error, plug_in_error, without_exit
 from hil.core.stacks import STACK_SIGNAL, Stack, place_in
 from hil.core.surroundings import host_limit, unnamed_file
 from hil.errors import DeviceError, HilError, LinkLost, LinkTimeout, PlugInError, ProtocolError, one_line
@@ -382,7 +382,13 @@ def serve(make: Callable[[Message], Service], when_orphaned: signal.Signals = si
         if not getattr(service, "report_thread", lambda _: False)(error):
             fail(error)
 
-    threading.excepthook = fail_thread
+    def fail_kernel(given: Any) -> None:
+        if (error := kernel_error(given)) is None:
+            sys.__unraisablehook__(given)
+        elif not failures:
+            fail(error)
+
+    threading.excepthook, sys.unraisablehook = fail_thread, fail_kernel
     exits = without_exit()
     exits.__enter__()  # as long as the process lives
     try:

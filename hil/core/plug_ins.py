@@ -26,6 +26,7 @@ T = TypeVar("T")
 _PACKAGES: Final = ("site-packages", "dist-packages")
 _HIL: Final = str(Path(__file__).parents[1]) + os.sep
 _LIBRARY: Final = os.path.dirname(os.__file__) + os.sep
+_COMPILED: Final = "<numba."
 _DEPTH: Final = 4  # a group, its parts, their drivers, their links
 _DEBUGGERS: Final = ("bdb.py", "pdb.py", "pydevd.py", "debugpy")
 
@@ -127,6 +128,11 @@ def begin_of(method: Callable[..., Any]) -> str:
     """Return where a method begins, as an addition to a message; "" if it is not Python's."""
     code: CodeType | None = getattr(method, "__code__", None)
     return f" ({location(code.co_filename, code.co_firstlineno)})" if code is not None else ""
+
+
+def kernel_error(given: Any) -> BaseException | None:
+    """Return what a kernel called by C has raised; None if what ``sys.unraisablehook`` was given is of others."""
+    return given.exc_value if str(given.object).startswith(_COMPILED) else None
 
 
 def is_of(device: object, error: BaseException) -> bool:
