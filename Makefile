@@ -3,11 +3,13 @@
 # make slow   runs the long tests that "make test" omits, and measures again which test runs which line
 # make tests-of FILE=hil/maths/quat.py:41  lists the tests of a line, or of all lines of a file
 # make oracle compares the truth with Basilisk, in a separate environment
+# make numbers measures a tenth of the cases of each number that README and documentation state; ARGUMENTS=--write all
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
 # make accessibility checks the console's page with axe-core, which npm installs by its digest
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
+# make release builds what a release has: sdist, both wheels, documentation, hashes; see RELEASING.md
 # make tidy   formats the sources
 
 PYTHON ?= python3
@@ -38,7 +40,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTE
 PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
 	-p hil.parts.campaigns.pytest_plugin.plugin
 
-.PHONY: demo test slow tests-of oracle bench lateness accessibility docs docs-links wheel tidy
+.PHONY: demo test slow tests-of oracle bench numbers lateness accessibility docs docs-links wheel release tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -64,9 +66,13 @@ oracle: .venv-oracle/ready
 	.venv-oracle/bin/python -m pytest tests/oracle
 
 bench: .venv-oracle/ready
+	.venv-oracle/bin/python benchmarks/loop_stages.py
 	.venv-oracle/bin/python benchmarks/filters.py
 	.venv-oracle/bin/python benchmarks/truth_step.py
 	.venv-oracle/bin/python benchmarks/campaign.py
+
+numbers: .venv/ready
+	$(BIN)/python sims/stated_numbers.py $(ARGUMENTS)
 
 lateness: .venv/ready
 	$(BIN)/python benchmarks/lateness.py
@@ -86,6 +92,11 @@ wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
 	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+
+release: docs wheel
+	$(BIN)/python -m hatchling build --directory dist
+	tar -C build -czf dist/hil-bench-docs.tar.gz docs
+	cd dist && rm -f SHA256SUMS && sha256sum * > SHA256SUMS
 
 tidy: .venv/ready
 	$(BIN)/ruff format .

@@ -1,8 +1,8 @@
 """Effect of each term of the error models, alone and together: the dispersion set data-sheet, term by term.
 
-python sims/error_models.py                     200 cases per term of scheme 1, without and with the error budget
-python sims/error_models.py 1000 scheme-2
-python sims/error_models.py 200 scheme-1 correlated bias
+python sims/error_models.py                     200 cases per term of scheme 1, without and with its part of the budget
+python sims/error_models.py 1000 scheme-2-paper
+python sims/error_models.py 200 scheme-1-paper correlated bias
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def main() -> None:
     """Fly the campaigns and print one row per term."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("cases", type=int, nargs="?", default=200)
-    parser.add_argument("scheme", nargs="?", default="scheme-1")
+    parser.add_argument("scheme", nargs="?", default="scheme-1-paper")
     parser.add_argument("only", nargs="*", help="parts of the names of the terms")
     given = parser.parse_args()
     scenario = load_scenario(given.scheme, (f"dispersions={SET}",)).value

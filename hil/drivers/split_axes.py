@@ -14,6 +14,7 @@ from hil.core.clock import BenchClock, Order
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.core.plug_ins import is_plug_in
 from hil.drivers.base import AxisGroup, Describes, Jogs, LimitsSetpoints, Parks, PoseSource, Streams, full_names
+from hil.drivers.fixed_axes import FixedAxes
 from hil.drivers.returned import checked_feedback
 from hil.drivers.vmu.absent import AbsentVmu
 from hil.errors import BenchError
@@ -164,11 +165,13 @@ def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> 
 
 
 def make_axes(table: AxisGroupTable, clock: BenchClock, name: str) -> AxisGroup:
-    """Return the driver of the axes of ``table``: one of its own, or one per controller, together."""
+    """Return the driver of the axes of ``table``: its own, or one per controller and for fixed axes, together."""
     made = [
         AxisPart(part.make_driver(clock, part_name), [table.axis_names.index(axis) for axis in part.axis_names])
         for part_name, part in table.parts(name).items()
     ]
+    if fixed := [n for n, axis in enumerate(table.axis_names) if axis not in table.driven]:
+        made.append(AxisPart(FixedAxes(name, table), fixed))
     if len(made) == 1:
         return made[0].axes
     split = SplitParkingAxes if all(isinstance(part.axes, Parks) for part in made) else SplitAxes

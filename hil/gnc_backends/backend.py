@@ -62,6 +62,10 @@ class BackendInstance:
         """Whole text of a failed step, of which its output may have the beginning alone; b"" for none."""
         return b""
 
+    def error_of(self, _given: np.void, _output: np.void) -> BaseException | None:
+        """Return what its failed step has raised, by its records of input and output; None if it raised nothing."""
+        return self.error
+
     def set_settings(self, values: np.ndarray) -> None:
         """Take over other values of the settings, (n,), between two cycles."""
         if self._block is not None:

@@ -485,12 +485,14 @@ def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:
         update={
             name: getattr(rig.rails, name).model_copy(update={"park_m": float(start.rail_m[i])})
             for i, name in enumerate(RAIL_NAMES)
+            if name in rig.rails.driven
         }
     )
     turntable_config = rig.turntable.model_copy(
         update={
             name: getattr(rig.turntable, name).model_copy(update={"park_deg": math.degrees(start.gimbal_rad[i])})
             for i, name in enumerate(GIMBAL_NAMES)
+            if name in rig.turntable.driven
         }
     )
     return rails_config, turntable_config

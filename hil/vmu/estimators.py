@@ -71,8 +71,10 @@ class PoseEstimate:
     def __post_init__(self) -> None:
         if self.status != "ok":
             return
-        for name, shape in (("t_v", (3,)), ("q_vt", (4,)), ("covariance", (6, 6))):
+        for name, shape in (("t_v", (3,)), ("q_vt", (4,)), ("covariance", (6, 6)), ("noise", (6, 6))):
             value = getattr(self, name)
+            if name == "noise" and value is None:
+                continue
             if np.shape(value) != shape or not np.isfinite(value).all():
                 raise ValueError(f"{name} of an ok estimate must be {shape} finite numbers, is {value}")
         if abs(float(np.linalg.norm(self.q_vt)) - 1.0) > _UNIT:  # type: ignore[arg-type]

@@ -41,6 +41,7 @@ _BUILT_IN: Final = {
     "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
     "io.modbus": "hil.drivers.io.entry:ENTRY",
 }
+_AXES_OF_A_DEVICE: Final = 3
 _TCP: Final = "tcp://"  # a controller on Ethernet with a protocol of serial lines
 _SERIAL_CAN: Final = ("serial", "slcan")  # interfaces of python-can that are serial ports
 
@@ -166,14 +167,15 @@ def driver_entry(device: str, name: str) -> DriverEntry:
 def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names: Sequence[str]) -> None:
     """Raise ValueError, one line that begins with ``key``, if the driver ``name`` cannot drive ``axes``.
 
-    all_names: of the axes that the device may have; a driver of one number of axes drives the first ones.
+    all_names: of the axes that the device may have; a driver of three axes alone drives the first ones.
     """
     drivers = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
     allowed, n = driver_entry(device, name).axes, len(axes)
-    if n in allowed and (len(allowed) > 1 or [*axes] == [*all_names[:n]]):
+    if n in allowed and (len(allowed) > 1 or n < _AXES_OF_A_DEVICE or [*axes] == [*all_names[:n]]):
         return
     others = [other for other in drivers if n in (counts := driver_entry(device, other).axes) and len(counts) > 1]
-    drives = ", ".join(all_names[: allowed[0]]) if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
+    first = ", ".join(all_names[: allowed[0]]) if allowed[0] >= _AXES_OF_A_DEVICE else f"{allowed[0]}, any of them"
+    drives = first if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
     raise ValueError(f'{key} "{name}": drives {drives}, here {", ".join(axes)}; allowed: {", ".join(others)}')
 
 

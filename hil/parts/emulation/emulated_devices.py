@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, Self
 
+import numpy as np
+
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import device_of
@@ -43,6 +45,7 @@ class EmulatedDevices:
         sensors: Sequence[str] = (),
     ) -> None:
         self.board = SharedAxisState.create()
+        self._write_fixed_axes(rig)
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
@@ -73,6 +76,14 @@ class EmulatedDevices:
         except BaseException:
             self.close()
             raise
+
+    def _write_fixed_axes(self, rig: Rig) -> None:
+        """Write where the axes stand that no emulator moves."""
+        for name, table in rig.axis_groups.items():
+            at = [axis.si("park") for axis in table.axes if axis.is_fixed]
+            numbers = [n for n, axis in enumerate(table.axes) if axis.is_fixed]
+            if numbers:
+                self.board.write(name, 0.0, np.array(at), np.zeros(len(at)), numbers)
 
     @property
     def pids(self) -> dict[str, int]:

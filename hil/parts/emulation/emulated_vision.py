@@ -33,9 +33,9 @@ from hil.params import bench as bench_params
 from hil.params.sensors import sensors_of, settings_row
 from hil.parts.emulation.line_sensor import LineSensorEmulator
 from hil.parts.emulation.shared_state import SharedAxisState
-from hil.sensors.check import Trial
 from hil.sensors.measurement import noise_of
 from hil.sensors.module import SensorKind
+from hil.sensors.trial import Trial
 from hil.session.assembly import start_axes
 from hil.session.pose_model import make_pose_sensor, transport
 
