@@ -223,7 +223,7 @@ class ChildProcess:
     def _stderr_text(self, start: int) -> str:
         if self._stderr.closed:
             return ""
-        start = max(start, os.fstat(self._stderr.fileno()).st_size - _STACK_BYTES)
+        start = max(0, start, os.fstat(self._stderr.fileno()).st_size - _STACK_BYTES)
         return os.pread(self._stderr.fileno(), _STACK_BYTES, start).decode(errors="replace")
 
     def wait_end(self, timeout_s: float) -> bool:
