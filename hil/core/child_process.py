@@ -200,7 +200,7 @@ class ChildProcess:
         return Stack(text[text.rindex(_FATAL) :], current=True) if _FATAL in text else Stack()
 
     def stack(self) -> Stack:
-        """Return where the threads of the child are, innermost first; [] if it does not tell."""
+        """Return where the threads of the child are, innermost first; [] if it does not answer."""
         if self._stderr.closed or self.exit_status():
             return Stack()
         start, size = os.fstat(self._stderr.fileno()).st_size, -1

@@ -1,7 +1,7 @@
 """Calls of code that users plug in: drivers, emulators, estimators, backends.
 
 What it raises or wrongly returns becomes a ``PlugInError``, one line with device, class, file and line; the traceback
-goes to the log. A process can note the calls under way, so that its parent knows what it has died or hangs in.
+goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or hangs.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def plug_in_error(device: str, error: BaseException) -> DeviceError:
 
 
 def wrong_return(device: str, method: Callable[..., Any], problem: str) -> PlugInError:
-    """Return the error of a ``method`` that returned what it may not: ``problem`` says what, and what is expected."""
+    """Return the error of a ``method`` that returned what it may not. problem: what, and what is expected."""
     return PlugInError(device, f"{_name(method)} returned {problem}{begin_of(method)}")
 
 

@@ -1,4 +1,4 @@
-"""Bugs planted in plug-ins: what the program says of each, and how long that takes.
+"""Bugs planted in plug-ins: what the program reports of each, and how long that takes.
 
     python -m tests.support.planted_bugs [--wall] [NAME ...]
 
@@ -194,7 +194,7 @@ BUGS: Final = (
 
 
 class Reported(NamedTuple):
-    """What the program said of a bug. seconds: until its end. line: the last one of stderr. names: what it names."""
+    """What the program reported of a bug. seconds: until its end. line: the last one of stderr. names: what it names."""
 
     code: int
     seconds: float
@@ -233,7 +233,7 @@ def line_of(file: Path, bug: str) -> int:
 
 
 def run(folder: Path, bug: str, wall: bool = False) -> Reported:
-    """Plant the bug, run it, and return what was said. wall: by the wall clock instead of in lock-step."""
+    """Plant the bug, run it, and return what was reported. wall: by the wall clock instead of in lock-step."""
     file = plant(folder, bug)
     place, kind = bug.split()
     what = place.partition(".")[0]

@@ -73,7 +73,7 @@ def test_a_vision_unit_by_datagrams_flies_in_lock_step(frames: str, form: str) -
     assert run.summary["vision"]["crc_errors"] == run.summary["vision"]["skipped_bytes"] == 0
 
 
-def test_a_run_says_what_is_known_of_each_state(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_prints_the_standard_deviation_of_each_state(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level("INFO", "hil"):
         hil.run("scheme-1", duration_s=1.0, overrides=TRACKER)
     assert "no vision unit: position x known to" in caplog.text

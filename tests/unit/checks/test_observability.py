@@ -34,7 +34,7 @@ def test_a_bench_without_sensors_is_refused_with_the_states() -> None:
     assert "gyro drift z not observed by the fused sensors (none)" in text
 
 
-def test_attitude_and_drift_are_missing_beside_positions_alone() -> None:
+def test_attitude_and_drift_are_missing_with_positions_alone() -> None:
     text = problem("sensors.gnss.kind=relative_gnss", "sensors.gnss.range_min_m=0.1")
     assert "attitude x, attitude y, attitude z, gyro drift x" in text
     assert "position" not in text
