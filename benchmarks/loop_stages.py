@@ -9,7 +9,7 @@ loop without time stamps, bit by bit. What the stamps themselves cost is the dif
 Each figure is also given as a ratio to a fixed reference loop of additions, products, divisions and a square root that
 depend on one another, timed in turn with the flights: the ratios of two commits on one computer can be compared,
 nanoseconds cannot. ``--record`` appends the ratios to ``benchmarks/loop_cost.csv`` with the version; without it the
-last ones recorded are printed beside, and a cycle that costs 3 % more is named.
+recorded ones are printed with it, and a cycle that costs 3 % more is named.
 """
 
 from __future__ import annotations

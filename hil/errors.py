@@ -8,7 +8,8 @@
         │   ├── LinkLost        the link is lost (closed port, reset connection)
         │   ├── LinkTimeout     nothing, or nothing new, received in time
         │   ├── ProtocolError   received bytes violate the protocol
-        │   └── DriveFault      the device itself reports a fault
+        │   ├── DriveFault      the device itself reports a fault
+        │   └── PlugInError     code of a user's own raised an error, or returned what it may not
         └── SafetyTrip      a limit of the controller was exceeded (device, value, limit)
 
 Any other exception that reaches the command line is an internal error: exit code 4.
@@ -104,6 +105,10 @@ class LinkTimeout(DeviceError):
 
 class ProtocolError(DeviceError):
     """The device sent bytes that violate its protocol."""
+
+
+class PlugInError(DeviceError):
+    """Code of a user's own raised an error, or returned what it may not."""
 
 
 class FaultKind(Enum):

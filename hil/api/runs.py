@@ -20,6 +20,7 @@ from hil.api.jobs import (
 )
 from hil.api.results import Run, run_of
 from hil.checks.go_level import go_warnings
+from hil.checks.observability import observed_by
 from hil.checks.unseen import unseen_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -180,7 +181,7 @@ def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
     scenario, rig = job.scenario.value, job.rig.value
-    for line in (*unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
+    for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
         request.announce(line)
     with ExitStack() as stack:
         recorder = None

@@ -6,12 +6,14 @@ Each command is declared by its part, see ``hil.core.part``; its module is impor
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from types import FrameType
 from typing import Any, Final, TextIO, cast
 
@@ -84,6 +86,8 @@ def _show_completion() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     gc.set_threshold(_GARBAGE_THRESHOLD)
+    with suppress(AttributeError, OSError, ValueError):  # a stream that was closed from the start
+        faulthandler.enable()  # a library of the user's that crashes is named by the stack
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     for number in STOP_SIGNALS:
         signal.signal(number, _as_ctrl_c)

@@ -13,7 +13,6 @@ import inspect
 import os
 import re
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -125,13 +124,6 @@ def import_error(error: Exception) -> str:
     """Return why an import failed, as one line."""
     line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
     return one_line(f"{type(error).__name__}: {error}", 200) + line
-
-
-def raised_text(method: str, error: BaseException) -> str:
-    """Return what an object's ``method`` has raised, with file and line, as one line."""
-    text, frames = " ".join(str(error).split()), traceback.extract_tb(error.__traceback__)
-    location = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{method} raised {type(error).__name__}" + (f": {text}" if text else "") + location
 
 
 def compile_error(error: Exception, function: Callable[..., Any], *records: np.dtype) -> str:

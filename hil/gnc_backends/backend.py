@@ -12,9 +12,9 @@ from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from hil.core.own_code import raised_text
+from hil.core.plug_ins import raised_text
 from hil.core.settings import Setting
-from hil.errors import DeviceError, ProtocolError
+from hil.errors import DeviceError, PlugInError, ProtocolError
 from hil.gnc import backend_outputs
 from hil.gnc_backends.output_texts import fault_text, reported_fault, step_failed, whole_text
 
@@ -124,7 +124,7 @@ def failure_of(
     if isinstance(error, ProtocolError):
         return error
     if error is not None:
-        failed = DeviceError(name, raised_text("step", error))
+        failed = PlugInError(name, raised_text("step", error))
         failed.__cause__ = error
         return failed
     part = ANY_PART[int(backends["failed"]) - 1]

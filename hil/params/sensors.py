@@ -110,7 +110,8 @@ def sensor_sources(scenario: Scenario, seed: int) -> np.record:
     for source, (kind, config, models) in zip(params.source, sensors.values(), strict=False):
         row = settings_row(kind, config)
         source.settings[: len(row)] = row
-        source.measure, source.models = rehearsed(kind).measure, models
+        # those of datagrams are measured in memory; on wires the samples are the wire's
+        source.measure, source.models = rehearsed(kind).measure, models or config.source == "udp"
         source.sees_bench, source.n = kind.module.sees == "bench", len(kind.components)
         source.rate_hz = min(config.rate_hz or kind.module.rate_hz, 1.0 / scenario.step_s)
         source.latency_s, source.loss = config.latency_s, config.loss_probability

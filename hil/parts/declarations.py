@@ -169,11 +169,13 @@ WIRES: Final = Part(
     check_rig="hil.parts.wires.clock:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
-        "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.io.codec", "hil.drivers.io.coupler",
+        "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.datagrams", "hil.drivers.io.codec",
+        "hil.drivers.io.coupler",
         "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",
-        "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.serial_port",
-        "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.codec", "hil.drivers.vmu.driver",
-        "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender",
+        "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.returned",
+        "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.absent",
+        "hil.drivers.vmu.codec", "hil.drivers.vmu.datagrams", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",
+        "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender", "hil.drivers.vmu.text_codec",
         "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock",
     ),
 )  # fmt: skip

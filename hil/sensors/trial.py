@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from hil.core.messages import Array, new
-from hil.core.own_code import raised_text
 from hil.core.own_kernel import RAISED, raised_by
+from hil.core.plug_ins import raised_text
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
 from hil.errors import BadInput
 from hil.sensors.compiled import Addresses, addresses
