@@ -65,7 +65,8 @@ def test_command_parses_and_its_scenario_exists(row: dict[str, Any], monkeypatch
         sets = [f"dispersions={value}" for option, value in given if option == "--dispersions"]
         if words[0] != "fusion":
             load_scenario(words[1], (*sets, *settings))
-            load_rig(dict(given).get("--rig", "mock"), tuple(settings))
+            if any(setting.startswith(("rig.", "--rig")) for setting in (*words, *settings)):
+                load_rig(dict(given).get("--rig", "mock"), tuple(settings))
         return
 
     class Parsed(Exception):
