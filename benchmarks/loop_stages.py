@@ -1,42 +1,54 @@
-"""Time of each call of the core in whole runs, in nanoseconds per cycle.
+"""Time of each call of the compiled loop in whole runs, in nanoseconds a cycle, and the cost of what can be left out.
 
-    python benchmarks/loop_stages.py [--scheme scheme-1] [--set KEY=VALUE ...]
+    python benchmarks/loop_stages.py [SCENARIO ...] [--set KEY=VALUE ...] [--flights N] [--record]
 
-The cycles of ``hil.loop.compiled.run_cycles`` with the processor's time stamp read between the calls: the flight is a
-real one, whose rows are compared with those of the compiled shell, and the rows add up to its cycle. What the time
-stamps themselves cost is the difference to a run without them. One run on one machine: compare the rows.
+The stamped loop is ``hil.loop.compiled.run_cycles`` itself, with the processor's time stamp read after each statement
+that calls something, so that it cannot differ from the program: the rows of its flight are compared with those of the
+loop without time stamps, bit by bit. What the stamps themselves cost is the difference of the two.
+
+Each figure is also given as a ratio to a fixed reference loop of additions, products, divisions and a square root that
+depend on one another, timed in turn with the flights: the ratios of two commits on one computer can be compared,
+nanoseconds cannot. ``--record`` appends the ratios to ``benchmarks/loop_cost.csv`` with the version; without it the
+recorded ones are printed with it, and a cycle that costs 3 % more is named.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import csv
+import inspect
+import textwrap
 import time
-from typing import Any
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import njit, types
 from numba.extending import intrinsic
 
-from hil.bench import guard as guards
 from hil.config.load import load_rig, load_scenario
-from hil.core.jit import kernel
 from hil.core.messages import CYCLE
-from hil.loop import core, mock_bench
 from hil.loop.compiled import run_cycles as shell
-from hil.loop.compiled.run_stats import count_cycle
-from hil.models.camera_timing import TIME_SLACK_S
 from hil.parts.campaigns.case_runner import CaseRunner
-from hil.sensors.vision_unit.transit import forget_frames
 
-ROWS = (
-    "axes of the mock rig, encoders", "safety checks of the bench", "vision unit", "poses to the cycle",
-    "GNC, cycles without a pose", "GNC, cycles with a pose", "lines, consistency, row", "statistics",
-    "truth, IMU, axes", "setpoints",
-)  # fmt: skip
-READ, CHECK, EXPOSE, RECEIVE, PREDICT, FUSE, COMMAND, COUNT, ADVANCE, SEND = range(len(ROWS))
-FLIGHTS = 15
+SCENARIOS = ("scheme-1", "tumbling-3", "data-sheet")
+FLIGHTS = 7
+LEDGER = Path(__file__).with_name("loop_cost.csv")
 HISTORY = 13  # number of the argument of ``run_cycles``
+SLOWER = 1.03
+REFERENCE_STEPS = 200_000
+_BUDGET = "gnc.navigation.budget."
+OPTIONS = {
+    "error budget": (
+        f"{_BUDGET}vision_bias_sigma_m=[0.0, 0.0, 0.0]", f"{_BUDGET}vision_misalignment_sigma_deg=0.0",
+        f"{_BUDGET}vision_scale_sigma=0.0", f"{_BUDGET}vision_noise_scale_sigma=0.0",
+    ),
+    "harmonics of the truth": ("truth.gravity_degree=0",),
+}  # fmt: skip
 
 
 @intrinsic
@@ -50,100 +62,177 @@ def time_stamp(_typing: Any) -> Any:
     return types.int64(), generate
 
 
-@kernel
-def since(at, row, spent):
-    """Add the time since ``at`` to ``spent[row]``; return the time."""
-    now = time_stamp()
-    spent[row] += now - at
-    return now
-
-
-@kernel
-def timed_cycles(
-    params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory, poses, frames, delayed, stats,
-    history, arrivals, spent,
-):  # fmt: skip
-    """Run the cycles of one setpoint each, without faults and further sensors, as ``run_cycles`` does."""
-    transit, now = state.mock.transit, state.now
-    shell._open(params, state)
-    first = transit.next_exposure
-    at = time_stamp()
-    while state.cycle < state.end:
-        k = state.cycle
-        now_s = t_s = k * params.step_s
-        mock_bench.read_axes(state, now_s)
-        at = since(at, READ, spent)
-        broken = core.check_axes(params, state) + core.guard_bench(params, state, now_s)
-        at = since(at, CHECK, spent)
-        if broken != guards.NOTHING:
-            return broken
-        mock_bench.expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
-        at = since(at, EXPOSE, spent)
-        n = mock_bench.receive_frames(params, state, now_s, frames)
-        arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
-        forget_frames(transit, n, frames)
-        at = since(at, RECEIVE, spent)
-        if not shell._run_gnc(params, state, memory, samples, poses, arrived, t_s):
-            return shell.GNC_FAILED
-        at = since(at, FUSE if arrived > 0 else PREDICT, spent)
-        mock_bench.mirror_thrusters(params, state, now_s)
-        core.isolate_thrusters(params, state)
-        core.check_consistency(params, state)
-        now.t_s, now.commanded_s = t_s, now_s
-        at = since(at, COMMAND, spent)
-        count_cycle(params.stats, stats, now)
-        at = since(at, COUNT, spent)
-        history[k] = now
-        row = k * samples.shape[0]
-        at = since(at, COMMAND, spent)
-        core.advance(params, state, field, imu_noise[row : row + samples.shape[0]], samples)
-        at = since(at, ADVANCE, spent)
-        if not shell._send_setpoint(params, state, now_s):
-            return shell.NOT_FINITE
-        core.next_tick(params, state)
-        state.cycle = k + 1
-        at = since(at, SEND, spent)
-    return shell.COMPLETED
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scheme", default="scheme-1")
-    parser.add_argument("--set", action="append", default=[])
-    options = parser.parse_args()
-    scenario = load_scenario(options.scheme, options.set).value
-    flight = CaseRunner(scenario, load_rig("mock", options.set).value, scenario.duration_s)
-    history = np.zeros(flight.cycles, CYCLE)
-    flight.run(scenario, 0, history)
-    timed_history, best, plain_s = np.zeros_like(history), np.full(len(ROWS), np.inf), np.inf
-    for _ in range(FLIGHTS):
-        arguments = flight.prepared(scenario, 0)
-        flight._params.counts = 1
-        begun = time.thread_time()
-        shell.run_cycles(*arguments[:HISTORY], history, *arguments[HISTORY + 1 :])
-        plain_s = min(plain_s, time.thread_time() - begun)
-        arguments = flight.prepared(scenario, 0)
-        flight._params.counts = 1
-        spent = np.zeros(len(ROWS), np.int64)
-        stamped, begun = time_stamp_now(), time.perf_counter()
-        code = timed_cycles(*arguments[:HISTORY], timed_history, arguments[HISTORY + 1], spent)
-        ns_per_tick = (time.perf_counter() - begun) * 1e9 / (time_stamp_now() - stamped)
-        assert code == shell.COMPLETED
-        best = np.minimum(best, spent * ns_per_tick / flight.cycles)
-    assert timed_history["truth"].tobytes() == history["truth"].tobytes(), "another flight than that of the shell"
-    for name, ns in zip(ROWS, best, strict=True):
-        print(f"  {name:34s} {ns:8.0f} ns")
-    plain_ns = plain_s / flight.cycles * 1e9
-    print(f"  {'sum of the calls':34s} {best.sum():8.0f} ns")
-    print(f"  {'a cycle without time stamps':34s} {plain_ns:8.0f} ns  ({scenario.step_s / plain_ns * 1e9:.0f} x)")
-    print(f"  {int(np.sum(history['pose']['fresh'] > 0))} of {flight.cycles} cycles fuse a pose")
-
-
-@kernel
+@njit
 def time_stamp_now():
     """Return the time stamp, for Python."""
     return time_stamp()
 
 
+@njit(error_model="numpy", nogil=True, fastmath=False)
+def reference_loop(steps):
+    """Return a number after ``steps`` steps, each of which waits for the one before."""
+    x = 1.0
+    for i in range(steps):
+        x = np.sqrt(x * 1.0001 + i / (x + 2.0)) + 0.5
+    return x
+
+
+class _Stamps(ast.NodeTransformer):
+    """Puts a time stamp after each statement with a call, in the loop of ``run_cycles``; names the rows."""
+
+    def __init__(self) -> None:
+        self.rows: list[str] = []
+
+    def visit_While(self, node: ast.While) -> ast.While:
+        node.body = list(self._stamped(node.body))
+        return node
+
+    def _stamped(self, statements: list[ast.stmt]) -> Iterator[ast.stmt]:
+        for statement in statements:
+            calls = _calls(statement.test if isinstance(statement, ast.If) else statement)
+            if isinstance(statement, ast.If):
+                statement.body = list(self._stamped(statement.body))
+            yield statement
+            if calls and not isinstance(statement, ast.Return):
+                yield from self._stamp(calls[0])
+
+    def _stamp(self, name: str) -> list[ast.stmt]:
+        row = str(len(self.rows))
+        self.rows.append(name)
+        if name == "_run_gnc":
+            self.rows[-1:] = [f"{name}, without a pose", f"{name}, with a pose"]
+            row = f"{row} + (1 if arrived > 0 else 0)"
+        text = f"_now = _stamp()\n_spent[{row}] += _now - _at\n_at = _now"
+        return ast.parse(text).body
+
+
+def _calls(node: ast.AST) -> list[str]:
+    """Return the names of what ``node`` calls, outermost first."""
+    return [ast.unparse(each.func) for each in ast.walk(node) if isinstance(each, ast.Call)]
+
+
+def stamped_loop() -> tuple[Callable[..., int], list[str]]:
+    """Return ``run_cycles`` with time stamps, which takes the ticks of each row as a last argument, and the rows."""
+    source = textwrap.dedent(inspect.getsource(inspect.unwrap(shell.run_cycles.py_func)))
+    tree, stamps = ast.parse(source), _Stamps()
+    (function,) = (each for each in tree.body if isinstance(each, ast.FunctionDef))
+    function.decorator_list, function.name = [], "stamped_cycles"
+    function.args.args.append(ast.arg("_spent"))
+    function.body[1:1] = ast.parse("_at = _stamp()").body
+    names = dict(vars(shell)) | {"_stamp": time_stamp}
+    exec(compile(ast.fix_missing_locations(stamps.visit(tree)), "stamped_cycles", "exec"), names)
+    return njit(error_model="numpy", nogil=True)(names["stamped_cycles"]), stamps.rows
+
+
+class Flight(NamedTuple):
+    """Costs of a cycle, ns: without stamps, by row with them, and of a step of the reference loop."""
+
+    plain_ns: float
+    rows_ns: np.ndarray
+    reference_ns: float
+    poses: int
+    cycles: int
+    step_s: float
+
+
+def fly(name: str, settings: tuple[str, ...], flights: int, loop: Callable[..., int] | None, n_rows: int) -> Flight:
+    """Return the least costs of ``flights`` flights of scenario ``name``. loop: of ``stamped_loop``, None: no rows."""
+    scenario = load_scenario(name, settings).value
+    runner = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s)
+    plain, stamped = np.zeros(runner.cycles, CYCLE), np.zeros(runner.cycles, CYCLE)
+    plain_s = reference_s = np.inf
+    rows_ns = np.full(n_rows, np.inf)
+    reference_loop(10)
+    for _ in range(flights):
+        reference_s = min(reference_s, _seconds(lambda: reference_loop(REFERENCE_STEPS))[0])
+        arguments = _prepared(runner, scenario, plain)
+        seconds, code = _seconds(lambda arguments=arguments: shell.run_cycles(*arguments))
+        assert code == shell.COMPLETED, f"{name} ended with {code}"
+        plain_s = min(plain_s, seconds)
+        if loop is None:
+            continue
+        spent, arguments = np.zeros(n_rows, np.int64), _prepared(runner, scenario, stamped)
+        first, begun = time_stamp_now(), time.perf_counter()
+        assert loop(*arguments, spent) == shell.COMPLETED
+        ns_per_tick = (time.perf_counter() - begun) * 1e9 / (time_stamp_now() - first)
+        rows_ns = np.minimum(rows_ns, spent * ns_per_tick / runner.cycles)
+    if loop is not None:
+        assert stamped.tobytes() == plain.tobytes(), "another flight than that of the loop without time stamps"
+    poses = int(np.sum(plain["pose"]["fresh"] > 0))
+    plain_ns, reference_ns = plain_s / runner.cycles * 1e9, reference_s / REFERENCE_STEPS * 1e9
+    return Flight(plain_ns, rows_ns, reference_ns, poses, runner.cycles, scenario.step_s)
+
+
+def _prepared(runner: CaseRunner, scenario: Any, history: np.ndarray) -> list[Any]:
+    arguments = list(runner.prepared(scenario, 0))
+    arguments[0].counts, arguments[HISTORY] = 1, history
+    return arguments
+
+
+def _seconds(call: Callable[[], int]) -> tuple[float, int]:
+    begun = time.thread_time()
+    result = call()
+    return time.thread_time() - begun, result
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenarios", nargs="*", default=SCENARIOS)
+    parser.add_argument("--set", action="append", default=[], dest="settings")
+    parser.add_argument("--flights", type=int, default=FLIGHTS)
+    parser.add_argument("--record", action="store_true")
+    options = parser.parse_args()
+    loop, rows = stamped_loop()
+    recorded, slower = _recorded(), []
+    for name in options.scenarios:
+        flight = fly(name, tuple(options.settings), options.flights, loop, len(rows))
+        ratio = flight.plain_ns / flight.reference_ns
+        before = recorded.get(name)
+        print(f"{name}: {flight.poses} of {flight.cycles} cycles fuse a pose")
+        for row, ns in zip(rows, flight.rows_ns, strict=True):
+            if ns >= 0.5:
+                print(f"  {row:44s} {ns:8.0f} ns {ns / flight.reference_ns:9.1f}")
+        print(f"  {'sum of the calls':44s} {flight.rows_ns.sum():8.0f} ns")
+        speed = f"{flight.step_s / flight.plain_ns * 1e9:.0f} x real time"
+        print(f"  {'a cycle without time stamps':44s} {flight.plain_ns:8.0f} ns {ratio:9.1f}, {speed}")
+        print(f"  {'a step of the reference loop':44s} {flight.reference_ns:8.1f} ns       1.0")
+        if not options.settings:
+            _options(name, flight, options.flights)
+            if before is not None:
+                print(f"  {'recorded last':44s} {'':8s}    {before:9.1f}, now {ratio / before:.3f} of it")
+                slower += [name] if ratio > SLOWER * before else []
+            if options.record:
+                _record(name, ratio)
+    if slower:
+        print(f"slower than recorded by more than {SLOWER - 1:.0%}: {', '.join(slower)}")
+    return 1 if slower and not options.record else 0
+
+
+def _options(name: str, flight: Flight, flights: int) -> None:
+    """Print what each block costs that a scenario can leave out."""
+    for option, settings in OPTIONS.items():
+        without = fly(name, settings, flights, None, 0)
+        # the reference loops of both cancel what the computer's clock did in between
+        ns = flight.plain_ns - without.plain_ns * flight.reference_ns / without.reference_ns
+        print(f"  {option:44s} {ns:8.0f} ns")
+
+
+def _recorded() -> dict[str, float]:
+    """Return the last recorded ratio of each scenario."""
+    if not LEDGER.exists():
+        return {}
+    with LEDGER.open(newline="") as file:
+        return {row["scenario"]: float(row["ratio"]) for row in csv.DictReader(file)}
+
+
+def _record(name: str, ratio: float) -> None:
+    new = not LEDGER.exists()
+    with LEDGER.open("a", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        if new:
+            writer.writerow(["version", "scenario", "ratio"])
+        writer.writerow([metadata.version("hil-bench"), name, f"{ratio:.1f}"])
+
+
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -40,10 +40,13 @@ nitpick_ignore_regex = [
     ("py:class", r"Figure|Job|Recorded|RunData"),
     ("py:class", r"hil\.api\.\w+\.\w+Arguments"),
     ("py:class", r"hil\.(recording\.read\.Recorded|recording\.replay\.\w+|report\.verdict\.Verdict)"),
-    ("py:class", r"hil\.(config\.vmu_geometry\.VmuGeometry|config\.scene\.Scene|vmu\.track\.TrackSettings)"),
     (
         "py:class",
-        r"hil\.(vmu\.pose\.\w+|vmu\.unit\.Pose|monitor\.(sources\.VideoFrame|preprocess\.Region)|core\.modes\.Mode)",
+        r"hil\.(config\.tables\.model\.ConfigModel|config\.vmu_geometry\.VmuGeometry|config\.scene\.Scene|vmu\.track\.TrackSettings)",
+    ),
+    (
+        "py:class",
+        r"hil\.(vmu\.pose\.\w+|vmu\.unit\.Pose|parts\.monitor\.(sources\.VideoFrame|region\.Region)|core\.modes\.Mode)",
     ),
 ]
 

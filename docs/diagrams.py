@@ -147,10 +147,46 @@ def pose_path() -> str:
     return _svg(10 + columns * (width + gap), bottom + 30, [*parts, _text(10, bottom + 20, legend, size=12)])
 
 
+BENCHES: Final = (
+    ("A  six axes", "x y z", "roll pitch yaw", ""),
+    ("B  rails and one gimbal", "x y z", "yaw", ""),
+    ("C  two rails", "x y", "", ""),
+    ("D  table of one axis", "", "yaw", ""),
+    ("E  plane", "x z", "pitch", ""),
+    ("F  target on one axis", "x y z", "roll pitch yaw", "yaw"),
+)
+"""Benches of a how-to: title, driven rails, driven gimbals of the chaser and of the target."""
+
+
+def benches() -> str:
+    """Return a drawing of each of the benches: target, chaser, and the axes that have a drive."""
+    width, height, parts = 290.0, 170.0, []
+    for number, (title, rails, gimbals, of_target) in enumerate(BENCHES):
+        row, column = divmod(number, 3)
+        x, y = 10 + column * width, 10 + row * height
+        target = Box(x + 10, y + 66, 76, 44, tuple(filter(None, ("target", of_target))), GREEN)
+        chaser = Box(x + 150, y + 66, 104, 44, tuple(filter(None, ("chaser", gimbals))), BLUE)
+        middle = chaser.x + chaser.width / 2
+        ends = {
+            "x": [(target.right + 12, y + 88), (chaser.x - 4, y + 88)],
+            "y": [(chaser.right - 8, y + 62), (chaser.right + 16, y + 36)],
+            "z": [(middle, chaser.bottom + 4), (middle, chaser.bottom + 36)],
+        }
+        parts += [_text(x + 10, y + 20, title, size=13, bold=True), _box(target), _box(chaser)]
+        for rail in rails.split():
+            (_, _), (end, low) = ends[rail]
+            parts += [
+                _arrow(ends[rail], both=True),
+                _text(end + 8 if rail != "x" else end - 36, low - 8, rail, size=12),
+            ]
+    return _svg(3 * width + 10, 2 * height + 10, parts)
+
+
 DIAGRAMS: Final[dict[str, Callable[[], str]]] = {
     "layers.svg": layers,
     "processes.svg": processes,
     "pose-path.svg": pose_path,
+    "benches.svg": benches,
 }
 
 

@@ -115,7 +115,8 @@ def _chaser_meets(params, truth, breach):
 def _off_truth(params, bench, truth, setpoint, feedback, rails_age_s, turntable_age_s, breach):
     """Return POSITION or ATTITUDE if the bench's pose differs too much from ``truth``, NOTHING otherwise.
 
-    The distances of the axes bound both differences: the pose is computed only if these are not within the limits.
+    The distances of the axes bound both differences: the pose is computed only if these are not within the limits. Of a
+    bench with fixed axes what counts is what the others are to show of the truth, ``setpoint``.
     """
     square, turned = 0.0, 0.0
     for i in range(3):
@@ -126,11 +127,16 @@ def _off_truth(params, bench, truth, setpoint, feedback, rails_age_s, turntable_
     if bound >= 0.0 and square <= bound * bound and turned <= params.attitude_max:
         return NOTHING
     r, q, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
+    r_CT_H, q_CH = stack.vector(3), stack.vector(4)
+    copy_into(r_CT_H, truth.r_CT_H)
+    copy_into(q_CH, truth.q_CH)
+    if bench.reduced != 0:
+        pose_of_axes(bench, setpoint.rail_m, setpoint.gimbal_rad, r_CT_H, q_CH)
     pose_of_axes(bench, feedback.rail_m, feedback.gimbal_rad, r, q)
-    quat.rotation_between(q, truth.q_CH, rotation)
+    quat.rotation_between(q, q_CH, rotation)
     square, turned, speed, rate = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
-        square += (r[i] - truth.r_CT_H[i]) ** 2
+        square += (r[i] - r_CT_H[i]) ** 2
         turned += rotation[i] ** 2
         speed += truth.v_CT_H[i] ** 2
         rate += setpoint.gimbal_radps[i] ** 2

@@ -1,8 +1,9 @@
 """Pose of the chaser in the lab to three rail positions and three gimbal angles, and back.
 
-The lab frame L is parallel to H with its origin at the target's reference point. The rails carry the
-turntable's rotation centre; the point that plays the chaser's reference point sits ``lever_arm`` (in
-c) away from it, so the carriage goes to ``r_CT_L - R_LC lever_arm``.
+The lab frame L has its origin at the target's reference point, and is parallel to H unless the rig file rotates it.
+The rails carry the turntable's rotation centre; the point that plays the chaser's reference point sits ``lever_arm``
+(in c) away from it, so the carriage goes to ``r_CT_L - R_LC lever_arm``. A bench may have fewer than six axes that
+move: those that are fixed stand where they are, and the others show of a pose what is left (``unseen``).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
-from hil.maths.arrays import copy_into
+from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
 
 _BLEND_M = 1.0  # over which the bench goes from full scale to its scale
@@ -34,6 +35,9 @@ BENCH_PARAMS = np.dtype(
         ("averaged", "i8", 6),  # setpoints whose mean is sent, which limits the jerk; below 2: off
         ("scaled_beyond", "f8"),  # m, distance beyond which the bench is scaled; 0: nowhere
         ("scale", "f8"),  # part of the additional distance that it moves
+        ("reduced", "i8"),  # 1: axes are fixed, or L is not parallel to H
+        ("fixed", "i8", 6),  # 1: the axis is fixed at ``low``
+        ("q_HL", "f8", 4),  # L to H
     ],
     align=True,
 )
@@ -121,13 +125,64 @@ def show(params, r_CT_H, v_CT_H, r, v):
 
 
 @kernel
+def _body_rate(order, a, rates, w):
+    """Write the body rate ``w`` (3,), rad/s, at rates (3,) of the gimbals, whose attitude is ``a`` (3, 3).
+
+    Sum of the gimbals' axes in c: outer, middle, inner (``euler.rate_jacobian_of_matrix_into``).
+    """
+    i, j, k = order[0], order[1], order[2]
+    cosine = math.sqrt(a[i, i] * a[i, i] + a[j, i] * a[j, i])  # of the middle angle
+    for n in range(3):
+        w[n] = rates[i] * a[n, i]
+    w[i] -= rates[j] * a[j, i] / cosine
+    w[j] += rates[j] * a[i, i] / cosine
+    w[k] += rates[k]
+
+
+@kernel
+def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
+    """Write ``axes`` (AXES) for a pose and motion that the bench shows, m, m/s, rad/s: fixed axes stand.
+
+    The driven gimbals have their Tait-Bryan angles of the whole attitude; the rails carry the reference point.
+    """
+    q, angles, rates, w = stack.vector(4), stack.vector(3), stack.vector(3), stack.vector(3)
+    a, jacobian, arm, arm_rate = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(3), stack.vector(3)
+    quat.multiply_into(q_CH, params.q_HL, q)
+    quat.to_matrix_into(q, a)
+    euler.from_matrix_into(a, params.order, angles)
+    euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
+    for i in range(3):
+        rates[i] = jacobian[i, 0] * w_CH_C[0] + jacobian[i, 1] * w_CH_C[1] + jacobian[i, 2] * w_CH_C[2]
+        if params.fixed[3 + i] != 0:
+            angles[i], rates[i] = params.low[3 + i], 0.0
+    euler.to_quaternion_into(angles, params.order, q)
+    quat.to_matrix_into(q, a)
+    _body_rate(params.order, a, rates, w)
+    quat.transform_back_into(q, params.lever_arm, arm)
+    arm_rate[0] = w[1] * params.lever_arm[2] - w[2] * params.lever_arm[1]
+    arm_rate[1] = w[2] * params.lever_arm[0] - w[0] * params.lever_arm[2]
+    arm_rate[2] = w[0] * params.lever_arm[1] - w[1] * params.lever_arm[0]
+    quat.transform_back_into(q, arm_rate, arm_rate)
+    quat.transform_back_into(params.q_HL, r, r)
+    quat.transform_back_into(params.q_HL, v, v)
+    for i in range(3):
+        axes.rail_m[i] = params.low[i] if params.fixed[i] != 0 else r[i] - arm[i]
+        axes.rail_mps[i] = 0.0 if params.fixed[i] != 0 else v[i] - arm_rate[i]
+        axes.gimbal_rad[i], axes.gimbal_radps[i] = angles[i], rates[i]
+
+
+@kernel
 def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose.
 
-    Of a pose beyond the distance from which the bench is scaled: where the bench shows it.
+    Of a pose beyond the distance from which the bench is scaled: where the bench shows it. Of a bench with fixed axes:
+    what the others can show of it.
     """
     r, v = stack.vector(3), stack.vector(3)
     show(params, r_CT_H, v_CT_H, r, v)
+    if params.reduced != 0:
+        _driven_axes(params, r, v, q_CH, w_CH_C, axes)
+        return
     arm, turning, arm_rate, angles = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     a, jacobian = stack.matrix(3, 3), stack.matrix(3, 3)
     quat.transform_back_into(q_CH, params.lever_arm, arm)
@@ -157,6 +212,12 @@ def pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH):
     quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
     for i in range(3):
         r_CT_H[i] += rail_m[i]
+    if params.reduced != 0:
+        q_LH, q_CL = stack.vector(4), stack.vector(4)
+        copy_into(q_CL, q_CH)
+        quat.conjugate_into(params.q_HL, q_LH)
+        quat.multiply_into(q_CL, q_LH, q_CH)
+        quat.transform_into(params.q_HL, r_CT_H, r_CT_H)
 
 
 @kernel
@@ -174,6 +235,36 @@ def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
         part = true_distance(params, shown) / shown
         for i in range(3):
             r_CT_H[i] *= part
+
+
+@kernel
+def _not_shown(params, rail_m, gimbal_rad, r_CT_H, q_CH, out):
+    """Write a pose less the one that the axes show, (6,): in H, m, and the rotation from the shown one, in c, rad."""
+    r, q, turned = stack.vector(3), stack.vector(4), stack.vector(3)
+    pose_of_axes(params, rail_m, gimbal_rad, r, q)
+    quat.rotation_between(q_CH, q, turned)
+    for i in range(3):
+        out[i], out[3 + i] = r_CT_H[i] - r[i], turned[i]
+
+
+@kernel
+def not_shown(params, rail_m, gimbal_rad, r_CT_H, q_CH, out):
+    """Write ``_not_shown`` of n axes positions, (n, 3) each, and poses, (n, 3) and (n, 4), into ``out`` (n, 6)."""
+    for k in range(out.shape[0]):
+        _not_shown(params, rail_m[k], gimbal_rad[k], r_CT_H[k], q_CH[k], out[k])
+
+
+@kernel
+def unseen(params, r_CT_H, q_CH, axes, out):
+    """Write what fixed axes leave out of poses, (n, 3), m, and (n, 4): as ``not_shown``, with the axes for each pose.
+
+    axes: AXES, overwritten.
+    """
+    rest = stack.vector(3)
+    fill(rest, 0.0)
+    for k in range(out.shape[0]):
+        axes_of_pose(params, r_CT_H[k], rest, q_CH[k], rest, axes)
+        _not_shown(params, axes.rail_m, axes.gimbal_rad, r_CT_H[k], q_CH[k], out[k])
 
 
 @kernel

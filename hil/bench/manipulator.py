@@ -107,5 +107,8 @@ def relative_axes(
     r, q, axes = np.empty(3), np.empty(4), new(AXES)
     pose_of_axes(bench, rail_m, gimbal_rad, r, q)
     r, q = relative_pose(params, target_rad, r, q)
+    if bench.reduced:  # the axes of this pose need not exist
+        bench = bench.copy()
+        bench.fixed = 0
     axes_of_pose(bench, r, _REST, q, _REST, axes)
     return axes.rail_m.copy(), axes.gimbal_rad.copy()

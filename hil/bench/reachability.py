@@ -73,6 +73,13 @@ def attitude(params: np.record, turn: Array, band_rad: float) -> Attitude:
     return Attitude(_axes(params, q, _AT_REST)[0], np.array(corners), turned, quat.to_matrix(q))
 
 
+def rails_of(params: np.record) -> Array:
+    """Return the matrix (3, 3) that takes a displacement in H to that of the rails; params: BENCH_PARAMS."""
+    along = quat.to_matrix(quat.conjugate(params.q_HL)) if params.reduced else np.eye(3)
+    moved: Array = along * (params.fixed[:3, None] == 0)
+    return moved
+
+
 def _axes(params: np.record, q_CH: Array, w_CH_C: Array) -> tuple[Array, Array]:
     """Return positions and rates, (6,) each, of the axes for a chaser in the origin."""
     axes = new(AXES)
@@ -93,19 +100,20 @@ def envelope(
     attitudes: n of them. r_CT_H, v_CT_H: (n, 3), m, m/s. margin_m: (n, 3), half the band of positions.
     control: motion that may come on top of the plan.
     """
-    n = len(attitudes)
-    at = np.hstack([r_CT_H, np.zeros((n, 3))])
-    half = np.hstack([margin_m, np.zeros((n, 3))])
+    n, to_rails = len(attitudes), rails_of(params)
+    moves = (params.fixed[:3] == 0).astype(float)
+    at = np.hstack([linear.product(r_CT_H, to_rails.T), np.zeros((n, 3))])
+    half = np.hstack([linear.product(margin_m, np.abs(to_rails).T), np.zeros((n, 3))])
     corners = np.array([a.corners for a in attitudes])
     turned = np.abs([a.turned for a in attitudes])
-    to_h = np.abs([a.a_CH.T for a in attitudes])
+    to_l = np.abs([linear.product(to_rails, a.a_CH.T) for a in attitudes])
     own_rate = linear.product(turned, control.rate)
-    planned_rate = np.hstack([np.abs(v_CT_H), np.zeros((n, 3))])
+    planned_rate = np.hstack([np.abs(linear.product(v_CT_H, to_rails.T)), np.zeros((n, 3))])
     fastest = planned_rate + own_rate
-    fastest[:, :3] += linear.product(to_h, control.speed) + control.swing_mps[:, None]
+    fastest[:, :3] += linear.product(to_l, control.speed) + control.swing_mps[:, None] * moves
     hardest = linear.product(turned, control.slewing)
     centripetal = linear.length(params.lever_arm) * float(linear.product(control.rate, control.rate))
-    hardest[:, :3] += linear.product(to_h, control.acceleration) + centripetal + control.swing_mps2[:, None]
+    hardest[:, :3] += linear.product(to_l, control.acceleration) + (centripetal + control.swing_mps2[:, None]) * moves
     hardest[:, 3:] += square(own_rate[:, 3:])
     room = square(fastest) / (2.0 * params.acceleration_max)
     return Envelope(
@@ -131,11 +139,12 @@ def view(
 
     attitudes: n of them. r_CT_H: (n, 3), m. margin_m: (n, 3), m, half the band of positions.
     """
-    n = len(attitudes)
+    n, to_rails = len(attitudes), rails_of(params)
+    rails_m = linear.product(r_CT_H, to_rails.T)
     planned = _margins(
-        params, mounting, camera, leds, r_CT_H, np.array([a.planned for a in attitudes]).reshape(n, 1, 6)
+        params, mounting, camera, leds, rails_m, np.array([a.planned for a in attitudes]).reshape(n, 1, 6)
     )
-    shifted = r_CT_H[:, None, :] + margin_m[:, None, :] * _CORNERS  # (n, 8, 3)
+    shifted = rails_m[:, None, :] + linear.product(margin_m[:, None, :] * _CORNERS, to_rails.T)  # (n, 8, 3)
     corners = np.array([a.corners for a in attitudes])  # (n, 8, 6)
     least = planned[:, 0]
     for k in range(len(_CORNERS)):
@@ -144,10 +153,10 @@ def view(
 
 
 def _margins(
-    params: np.record, mounting: np.record, camera: np.record, leds: Array, r_CT_H: Array, axes: Array
+    params: np.record, mounting: np.record, camera: np.record, leds: Array, rails_m: Array, axes: Array
 ) -> Array:
-    """Return the view margins (n, m), px, of n positions (n, 3), each with m attitudes of the bench (n, m, 6)."""
-    rail = np.ascontiguousarray((axes[:, :, :3] + r_CT_H[:, None, :]).reshape(-1, 3))
+    """Return the view margins (n, m), px, of n displacements (n, 3), each with m attitudes of the bench (n, m, 6)."""
+    rail = np.ascontiguousarray((axes[:, :, :3] + rails_m[:, None, :]).reshape(-1, 3))
     gimbal = np.ascontiguousarray(axes[:, :, 3:].reshape(-1, 3))
     out = np.empty(len(rail))
     view_margins(params, mounting, camera, leds, rail, gimbal, out)

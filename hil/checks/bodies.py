@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from hil.bench.guard import GUARD
+from hil.bench.kinematics import axes_of_pose
 from hil.checks.planned_trajectory import PlanSample, moments
 from hil.checks.reachability import position_margin
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import Array, new
+from hil.core.messages import AXES, Array, new
 from hil.errors import Problem
-from hil.maths import linear, quat
+from hil.maths import euler, linear, quat
 from hil.maths.elementary import square
 from hil.models.bodies import PAIR, WHICH, clearance
 from hil.params import bench as bench_params
@@ -47,7 +49,8 @@ def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         problems += _problem(scenario, plan, nearest, "keep_out.bodies", scenario.value.keep_out.distance_m)
     if of_bench:
         guard = bench_params.axis_guard(rig.value, scenario.value)
-        nearest = _Nearest(scenario.value, guard, float(guard.deceleration), np.array(rig.value.bench.lever_arm_m))
+        arm = np.array(rig.value.bench.lever_arm_m)
+        nearest = _Nearest(scenario.value, guard, float(guard.deceleration), arm, _lab_of(scenario.value, rig.value))
         problems += _problem(scenario, plan, nearest, "rig.bench.bodies", rig.value.bench.bodies_distance_m)
     return problems
 
@@ -59,12 +62,38 @@ def _chaser(scenario: Scenario) -> np.record:
     return guard
 
 
+def _lab_of(scenario: Scenario, rig: Rig) -> Callable[[_Points], _Points] | None:
+    """Return what takes the points of a plan to those that a bench shows in L; None if they are the same."""
+    if not rig.is_reduced:
+        return None
+    bench, axes, rest = bench_params.bench(rig, scenario.step_s, scenario.bench), new(AXES), np.zeros(3)
+
+    def shown(points: _Points) -> _Points:
+        r, q, v = points.r.copy(), points.q.copy(), points.v.copy()
+        for k in range(len(r)):
+            axes_of_pose(bench, points.r[k], points.v[k], points.q[k], rest, axes)
+            q[k] = euler.to_quaternion(axes.gimbal_rad, bench.order)
+            r[k], v[k] = axes.rail_m + quat.transform_back(q[k], bench.lever_arm), axes.rail_mps
+        return points._replace(r=r, q=q, v=v)
+
+    return shown
+
+
 class _Nearest:
-    """Distance that braking leaves between bodies. guard: GUARD. lever_arm_m: of the centre of rotation, in c."""
+    """Distance that braking leaves between bodies. guard: GUARD. lever_arm_m: of the centre of rotation, in c.
+
+    shown: see ``_lab_of``.
+    """
 
     def __init__(
-        self, scenario: Scenario, guard: np.record, brake_mps2: float, lever_arm_m: Array | None = None
+        self,
+        scenario: Scenario,
+        guard: np.record,
+        brake_mps2: float,
+        lever_arm_m: Array | None = None,
+        shown: Callable[[_Points], _Points] | None = None,
     ) -> None:
+        self.shown = shown or (lambda points: points)
         self._fixed = guard.lab
         self._brake = brake_mps2
         self._arm = np.zeros(3) if lever_arm_m is None else lever_arm_m
@@ -139,7 +168,7 @@ def _problem(
     scenario: Loaded[Scenario], plan: list[PlanSample], nearest: _Nearest, key: str, least_m: float
 ) -> list[Problem]:
     """Return a problem for the moment at which the bodies of the list ``key`` are nearest, if that is too near."""
-    points = _points(plan, position_margin(scenario.value, np.array([moment.far_m for moment in plan])))
+    points = nearest.shown(_points(plan, position_margin(scenario.value, np.array([moment.far_m for moment in plan]))))
     bounds = nearest.bounds(points)
     left_m, first_k, which = math.inf, 0, 0
     for k in np.argsort(bounds):

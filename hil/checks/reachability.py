@@ -197,12 +197,13 @@ class _Findings:
         """The bench stands still before the run: each axis has to catch up with a chaser that starts in motion."""
         initial = self._scenario.value.initial
         own = linear.product(start.turned, np.radians(initial.rate_degps))
-        rate = np.abs(own + np.array([*initial.velocity_mps, 0.0, 0.0, 0.0]))
+        along = linear.product(reachability.rails_of(self._bench), np.array(initial.velocity_mps))
+        rate = np.abs(own + np.array([*along, 0.0, 0.0, 0.0]))
         takes_s = rate / self._bench.acceleration_max
         allowed_s = self._scenario.value.reachability.startup_lag_s
         for axis in sorted({int(axis) for axis in np.flatnonzero(takes_s > allowed_s)} - self._named):
             unit, scale, _ = _unit(axis)
-            moved = axis < 3 and abs(initial.velocity_mps[axis]) >= abs(own[axis])
+            moved = axis < 3 and abs(along[axis]) >= abs(own[axis])
             self._say(
                 "initial.velocity_mps" if moved else "initial.rate_degps",
                 f"{BENCH_AXES[axis]} would need {takes_s[axis]:.2g} s at 0.0 s to catch up with "
@@ -212,6 +213,8 @@ class _Findings:
 
     def view(self) -> None:
         """Add one problem if an LED leaves an image."""
+        if not self._rig.has_vmu:
+            return
         camera, leds = vmu_params.camera(self._rig)
         asked, mounting = self._asked, vmu_params.mounting(self._rig)
         # of the relative pose, whichever axes show it

@@ -30,7 +30,28 @@ def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
         *_check_perturbations(scenario, body),
         *_check_solar_array(scenario),
         *_check_propellant(scenario),
+        *_check_plane(scenario),
     ]
+
+
+def _check_plane(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for each place and rotation of a planar chaser's plan that is out of the x-z plane of H."""
+    value, guidance = scenario.value, scenario.value.gnc.guidance
+    if not value.chaser.planar:
+        return []
+    points = {"initial.position_m": value.initial.position_m, "initial.velocity_mps": value.initial.velocity_mps}
+    points |= {"gnc.guidance.ready_point_m": guidance.ready_point_m, "gnc.corridor.axis": value.gnc.corridor.axis}
+    turns = {"initial.attitude_deg": value.initial.attitude_deg, "initial.rate_degps": value.initial.rate_degps}
+    for name in guidance.sequence:
+        phase, key = guidance.phases[name], f"gnc.guidance.phases.{name}"
+        points |= {} if phase.point_m is None else {f"{key}.point_m": phase.point_m}
+        turns |= {} if phase.attitude_deg is None else {f"{key}.attitude_deg": phase.attitude_deg}
+    wrong = {key: "along y" for key, place in points.items() if place[1] != 0.0}
+    wrong |= {key: "about x and z" for key, turn in turns.items() if turn[0] != 0.0 or turn[2] != 0.0}
+    if value.target.motion == "tumble":
+        wrong["target.motion"] = "of the target"
+    text = "leaves the x-z plane of H, in which chaser.planar holds the chaser, allowed 0"
+    return [Problem(scenario.where(key), key, f"{text} {which}") for key, which in wrong.items()]
 
 
 def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:

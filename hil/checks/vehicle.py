@@ -82,7 +82,9 @@ def authority(scenario: Scenario) -> Authority:
             given = (2 * sign - 1) * linear.product(params.dead_sets[j, axis, sign, :n], wrenches)[axis]
             dead[axis] = min(dead[axis], max(0.0, float(given)))
     nominal = 1.0 - min(1.0, _SIGMAS * scenario.truth.force_scatter_sigma / math.sqrt(2.0))
-    return Authority(nominal * strength[:6] / of_row, nominal * dead / of_row, nominal * strength[6:] / chaser.mass_kg)
+    moves = np.asarray(params.control.held) == 0
+    demand, dead = (np.where(moves, nominal * each / of_row, 0.0) for each in (strength[:6], dead))
+    return Authority(demand, dead, np.where(moves[:3], nominal * strength[6:] / chaser.mass_kg, 0.0))
 
 
 def limits_of_phases(scenario: Scenario) -> dict[str, Array]:

@@ -7,18 +7,33 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
 from hil.core.files import write_text
+from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.config.load import Loaded
+    from hil.config.rig import Rig
 
 _WIDEST = 1000  # characters of a table
 _REASONS = 3
 _FIGURES = (".png", ".pdf", ".svg")
+
+
+QUIET: Final[ContextVar[bool]] = ContextVar("quiet", default=False)
+"""Whether a command prints results and errors alone."""
+
+
+def notices() -> Console:
+    """Return the console of progress and notices: standard error, nothing if the command is to be quiet."""
+    return Console(stderr=True, quiet=QUIET.get())
 
 
 def file_path_problem(path: str) -> str:
@@ -84,11 +99,17 @@ def axes_problem(axes: Sequence[str]) -> str:
     return f"{unknown[0]}: unknown, give {', '.join(BENCH_AXES)}" if unknown else ""
 
 
-def chosen_axes(axes: Sequence[str]) -> list[int]:
-    """Return the indices of the named axes, of all six if none is named."""
+def chosen_axes(axes: Sequence[str], rig: Loaded[Rig]) -> list[int]:
+    """Return the indices of the named axes, of all that are driven if none is named.
+
+    Raises BadInput for one without a drive.
+    """
     from hil.config.rig import BENCH_AXES
 
-    return [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
+    undriven = rig.value.undriven
+    if fixed := [axis for axis in axes if axis in undriven]:
+        raise BadInput.single(rig.where(fixed[0]), f"rig.{fixed[0]}", "has no drive, allowed: axes with one")
+    return [k for k, name in enumerate(BENCH_AXES) if name in axes or not (axes or name in undriven)]
 
 
 def base_of(name: str, out_path: str, kind: str = "rigs") -> str:

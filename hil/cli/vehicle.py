@@ -75,14 +75,14 @@ def _numbers(scenario: Scenario, rig: Rig) -> dict[str, Any]:
             "full": None if k >= 3 else float(given.full[k]),
         }
         for k, value in enumerate(
-            np.array([given.demand, given.dead]).T * np.where(np.arange(6) < 3, 1.0, 57.29577951308232)[:, None]
+            np.array([given.demand, given.dead]).T * np.where(np.arange(6) < 3, 1.0, np.degrees(1.0))[:, None]
         )
     ]
     worst = min(failed_thrusters(scenario), key=lambda failed: failed.braking_mps2)
     return {
         "authority": per_axis,
         "phases": [each._asdict() for each in phase_demands(scenario)],
-        "hold": [axis._asdict() for axis in predicted_hold(scenario, rig)],
+        "hold": [axis._asdict() | {"level": axis.level or None} for axis in predicted_hold(scenario, rig)],
         "abort": {
             "brake_mps2": scenario.gnc.abort.brake_mps2,
             "given_mps2": braking_acceleration(scenario),
@@ -120,8 +120,8 @@ def _show(numbers: dict[str, Any]) -> None:
     held = [
         (
             axis["name"], axis["unit"], f"{axis['change']:.3g}", f"{axis['rate_max']:g}", f"{axis['held']:.3g}",
-            f"{axis['level']:.3g}", f"{axis['tolerance']:g}", f"{axis['amplitude']:.3g}", f"{axis['period_s']:.3g}",
-            f"{axis['propellant_kgph']:.3g}",
+            "-" if axis["level"] is None else f"{axis['level']:.3g}", f"{axis['tolerance']:g}",
+            f"{axis['amplitude']:.3g}", f"{axis['period_s']:.3g}", f"{axis['propellant_kgph']:.3g}",
         )
         for axis in numbers["hold"]
     ]  # fmt: skip

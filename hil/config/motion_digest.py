@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import load_protocol
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, UNIT_AXES, Rig
 from hil.core.files import sha256_of
 
 _NOT_COUNTED: Final = {"name", "sign_off", "recording", "telemetry"}
@@ -26,6 +26,8 @@ def motion_digest(rig: Rig) -> str:
         if not table[key]:  # as before there were any
             del table[key]
     del table["vmu"]["drift_check"], table["host"]["cpu"]
+    if rig.bench.lab_axes == UNIT_AXES:
+        del table["bench"]["lab_axes"]
     if rig.console.on_loss != "continue":
         del table["console"]["on_loss"]  # the operator's choice of two safe reactions
     for device, names in (
@@ -45,10 +47,24 @@ def motion_digest(rig: Rig) -> str:
             del table[device]["controllers"]
     for device, gimbals in (("turntable", rig.turntable), ("rotary_manipulator", rig.rotary_manipulator)):
         if gimbals is not None and gimbals.ascii is not None:
-            table[device]["ascii"]["protocol"] = load_protocol(gimbals.ascii.protocol).value.model_dump(mode="json")
+            protocol = load_protocol(gimbals.ascii.protocol).value.model_dump(mode="json")
+            if protocol["gimbals"] == list(GIMBAL_NAMES):
+                del protocol["gimbals"]
+            table[device]["ascii"]["protocol"] = protocol
+    _drop_not_fixed(table)
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _drop_not_fixed(table: dict[str, Any]) -> None:
+    """Remove the position of each axis that is not fixed: as before there were fixed ones."""
+    for key in ("fixed_m", "fixed_deg"):
+        if key in table and table[key] is None:
+            del table[key]
+    for value in table.values():
+        if isinstance(value, dict):
+            _drop_not_fixed(value)
 
 
 def _put_files_for_paths(table: dict[str, Any]) -> None:

@@ -229,8 +229,10 @@ class Protocol(ConfigModel):
 
     name: str
     """Name of the command set."""
-    axes: tuple[str, str, str] = ("1", "2", "3")
-    """Names of roll, pitch, yaw for `{axis}`."""
+    gimbals: Annotated[tuple[Literal["roll", "pitch", "yaw"], ...], Field(min_length=1)] = ("roll", "pitch", "yaw")
+    """Axes of the controller, in this order."""
+    axes: Annotated[tuple[str, ...], Field(min_length=1, max_length=3)] = ("1", "2", "3")
+    """Their names for `{axis}`."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] | None = None
     """Counts per revolution, if a unit is counts."""
     line: LineFraming = LineFraming()
@@ -263,8 +265,10 @@ class Protocol(ConfigModel):
             name for each in self.status_words.values() for name in each
         }:
             raise ValueError("status_words: no word means enabled, or none fault, allowed: both")
-        if len(set(self.axes)) != 3:
-            raise ValueError(f"axes: {list(self.axes)}: must be three different names")
+        if self.gimbals != tuple(name for name in GIMBAL_NAMES if name in self.gimbals):
+            raise ValueError(f"gimbals: {list(self.gimbals)}: must be some of {', '.join(GIMBAL_NAMES)}, in this order")
+        if len(set(self.axes)) != len(self.axes) or len(self.axes) < len(self.gimbals):
+            raise ValueError(f"axes: {list(self.axes)}: must be different names, one for each of gimbals")
         units = (self.fields.position.unit, self.fields.rate.unit)
         if any(unit.startswith("counts") for unit in units) and self.counts_per_turn is None:
             raise ValueError(f"counts_per_turn: is missing: fields are in {' and '.join(units)}")
@@ -276,7 +280,7 @@ class Protocol(ConfigModel):
             if number is not None and number not in numbers("faults.names", names):
                 raise ValueError(f"faults.{key}: {number}: allowed are the numbers in [faults.names]: {_listed(names)}")
         for name, text in self.replies.items():
-            _check_template(f"replies.{name}", text, [*_axis_fields(True), *OF_DEVICE])
+            _check_template(f"replies.{name}", text, [*self._axis_fields(True), *OF_DEVICE])
         if self.errors is not None:
             _check_template("errors.reply", self.errors.reply, ["error", "ignore"])
         for action, step in self.steps():
@@ -299,7 +303,7 @@ class Protocol(ConfigModel):
         for step in getattr(self.requests, action):
             for _, field in template_places(self.replies.get(step.reply, "")):
                 name, _, axis = field.partition(".")
-                given |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
+                given |= {(name, each) for each in ((axis,) if axis else self.gimbals)}
         return given
 
     def warnings(self) -> list[str]:
@@ -317,7 +321,7 @@ class Protocol(ConfigModel):
 
     def _check_step(self, action: str, step: Step) -> None:
         key = f"requests.{action}"
-        setpoints = [name for name in _axis_fields(step.each_axis) if name.split(".")[0] in ("position", "rate")]
+        setpoints = [name for name in self._axis_fields(step.each_axis) if name.split(".")[0] in ("position", "rate")]
         allowed = [*(["axis"] if step.each_axis else []), *(setpoints if action == "set" else [])]
         _check_template(f"{key}: send", step.send, allowed)
         if not step.reply and action in ("set", "enable", "quick_stop", "clear_faults", "hold", "home"):
@@ -326,15 +330,21 @@ class Protocol(ConfigModel):
             raise ValueError(
                 f"{key}: reply {step.reply!r}: allowed are the names in [replies]: {_listed(self.replies)}"
             )
-        _check_template(f"replies.{step.reply}", self.replies[step.reply], [*_axis_fields(step.each_axis), *OF_DEVICE])
+        allowed = [*self._axis_fields(step.each_axis), *OF_DEVICE]
+        _check_template(f"replies.{step.reply}", self.replies[step.reply], allowed)
+
+    def _axis_fields(self, each_axis: bool) -> list[str]:
+        """Return the allowed axis fields of a template."""
+        named = [f"{name}.{axis}" for name in OF_AXIS for axis in self.gimbals]
+        return [*named, "axis", *OF_AXIS] if each_axis else named
 
     def _check_report(self) -> None:
         reported, sent = self.gives("status"), set()
         for step in self.requests.set:
             for _, field in template_places(step.send):
                 name, _, axis = field.partition(".")
-                sent |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
-        for axis in GIMBAL_NAMES:
+                sent |= {(name, each) for each in ((axis,) if axis else self.gimbals)}
+        for axis in self.gimbals:
             if ("position", axis) not in sent:
                 raise ValueError(f"requests.set: sends no position of {axis}")
             for name in ("position", "status"):
@@ -355,12 +365,6 @@ def numbers(key: str, names: Names) -> dict[int, str]:
         return {int(number, 0): name for number, name in names.items()}
     except ValueError as error:
         raise ValueError(f"{key}: {_listed(names)}: must be whole numbers, decimal or 0x...") from error
-
-
-def _axis_fields(each_axis: bool) -> list[str]:
-    """Return the allowed axis fields of a template."""
-    named = [f"{name}.{axis}" for name in OF_AXIS for axis in GIMBAL_NAMES]
-    return [*named, "axis", *OF_AXIS] if each_axis else named
 
 
 def _check_template(key: str, text: str, allowed: list[str]) -> None:

@@ -48,6 +48,8 @@ Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for
 MIDDLE_AXIS_MAX_DEG = 85.0  # largest angle of the middle axis of a rotary manipulator
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
 GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
+UNIT_AXES: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_FIXED_LIMIT = 1.0  # m/s, m/s^2, deg/s, deg/s^2 of an axis without a drive, which never moves
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
@@ -71,6 +73,8 @@ class BenchGeometry(ConfigModel):
     """Move all axes to `park_m` and `park_deg` at the end of a complete run."""
     led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
     """Rows: axes of the LED ring in H."""
+    lab_axes: Matrix3 = UNIT_AXES
+    """Rows: axes of L in H, along which the rails run; by default L is parallel to H."""
     bodies: tuple[BenchBody, ...] = ()
     """`[[bench.bodies]]`: carriage, arm, cameras, ring and objects of the lab, at most 8 of each kind."""
     bodies_distance_m: Positive = 0.05
@@ -83,7 +87,8 @@ class BenchGeometry(ConfigModel):
 
     @model_validator(mode="after")
     def _axes_are_right_handed(self) -> Self:
-        for name, m in (("camera_axes", self.camera_axes), ("led_ring_axes", self.led_ring_axes)):
+        for name in ("camera_axes", "led_ring_axes", "lab_axes"):
+            m = getattr(self, name)
             gram = [[linear.total(a * b for a, b in zip(p, q, strict=True)) for q in m] for p in m]
             identity = all(abs(gram[i][j] - (i == j)) < 1e-9 for i in range(3) for j in range(3))
             cross = (
@@ -117,7 +122,8 @@ class Brake(ConfigModel):
 class BenchAxis(ConfigModel):
     """Keys of a rail and of a gimbal alike. An axis with an incremental encoder must be homed after power-up.
 
-    Travel, limits and positions are in metres or degrees, by the keys of the subclass.
+    Travel, limits and positions are in metres or degrees, by the keys of the subclass. An axis that is fixed needs its
+    position alone, key ``fixed``: it has no drive, and keys of a drive in the file do not count.
     """
 
     gravity_loaded: bool = False
@@ -130,6 +136,18 @@ class BenchAxis(ConfigModel):
     """"incremental": must be homed after power-up of its drive."""
     lead_s: Lead = 0.0
     """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
+
+    @classmethod
+    def fixed_at(cls, position: float) -> dict[str, Any]:
+        """Return the table of an axis that is fixed at ``position``, m or deg."""
+        table: dict[str, Any] = {cls.key_of(stem): position for stem in ("fixed", "park", "home")}
+        table |= {cls.key_of(stem): _FIXED_LIMIT for stem in ("rate_max", "acceleration_max")}
+        return {**table, cls.key_of("travel"): [position, position]}
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the axis has no drive."""
+        return self.in_file("fixed") is not None
 
     @property
     def falls(self) -> bool:
@@ -150,7 +168,7 @@ class BenchAxis(ConfigModel):
     @model_validator(mode="after")
     def _park_is_on_the_travel(self) -> Self:
         low, high = self.in_file("travel")
-        if not low < high:
+        if not (low < high or self.is_fixed):
             raise ValueError(f"{self.key_of('travel')} must rise from low to high")
         if not low <= self.in_file("park") <= high:
             raise ValueError(f"{self.key_of('park')} must lie within {self.key_of('travel')}")
@@ -169,6 +187,8 @@ class BenchAxis(ConfigModel):
 class RailAxis(BenchAxis):
     """One rail."""
 
+    fixed_m: float | None = None
+    """Position at which the axis is fixed, without a drive; then the other keys do not count."""
     travel_m: tuple[float, float]
     """Low and high end, inside the limit switches."""
     rate_max_mps: Positive
@@ -188,6 +208,8 @@ class RailAxis(BenchAxis):
 class GimbalAxis(BenchAxis):
     """One axis of the turntable."""
 
+    fixed_deg: float | None = None
+    """Angle at which the axis is fixed, without a drive; then the other keys do not count."""
     travel_deg: tuple[float, float]
     """Low and high end, inside the limit switches."""
     rate_max_degps: Positive
@@ -315,6 +337,17 @@ class VmuLine(SerialLine):
     """Pose frames: `hil`, `euler-mm` or the path of a frame file."""
 
 
+class VmuDatagrams(ConfigModel):
+    """Datagrams of a vision unit, a camera or a tracker: where they are received, and their frames."""
+
+    host: str = "127.0.0.1"
+    """Address of this computer."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """UDP port."""
+    frames: str = "hil"
+    """Pose frames, binary or of text: `hil`, `euler-mm` or the path of a frame file."""
+
+
 class SensorLine(ConfigModel):
     """Serial wire of a sensor of the scenario, `[sensors.NAME]`."""
 
@@ -406,6 +439,11 @@ class AxisGroupTable(DeviceTable):
         return tuple(name for name in self._part or self.all_names if getattr(self, name) is not None)
 
     @property
+    def driven(self) -> tuple[str, ...]:
+        """Those of ``axis_names`` that have a drive; the others are fixed."""
+        return tuple(name for name in self.axis_names if not getattr(self, name).is_fixed)
+
+    @property
     def axis_numbers(self) -> tuple[int, ...]:
         """Numbers, from 0, of ``axis_names`` among all that the table may have."""
         return tuple(self.all_names.index(name) for name in self.axis_names)
@@ -423,12 +461,15 @@ class AxisGroupTable(DeviceTable):
     def parts(self, name: str) -> dict[str, AxisGroupTable]:
         """Return what each controller drives, by names: ``rails`` with the remaining axes, ``rails.x``, ``rails.y-z``.
 
-        name: of the group. A group on one controller has one part, itself.
+        name: of the group. A group on one controller has one part, itself, without its fixed axes; none if all are
+        fixed.
         """
+        if not self.driven:
+            return {}
         if not self.own_controllers:
-            return {name: self}
+            return {name: self if self.driven == self.axis_names else self._part_of(self.driven, {})}
         taken = [axis for controller in self.own_controllers for axis in controller.axes]
-        rest = tuple(axis for axis in self.axis_names if axis not in taken)
+        rest = tuple(axis for axis in self.driven if axis not in taken)
         parts = {name: self._part_of(rest, {})}
         for controller in self.own_controllers:
             parts[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
@@ -442,7 +483,7 @@ class AxisGroupTable(DeviceTable):
     def connected(self, name: str, addresses: Mapping[str, str]) -> Self:
         """Return the table with the addresses that the emulators of the device ``name`` report."""
         table = super().connected(name, addresses)
-        if not self.own_controllers:
+        if not self.own_controllers or not self.driven:
             return table
         controllers = tuple(each.connected(part_name(name, each), addresses) for each in self.own_controllers)
         return table.model_copy(update={"controllers": controllers})
@@ -450,16 +491,16 @@ class AxisGroupTable(DeviceTable):
     @property
     def wire_keys(self) -> list[WireKey]:
         taken = [axis for controller in self.own_controllers for axis in controller.axes]
-        return _wires_of(super().wire_keys, set(self.axis_names) - set(taken))
+        return _wires_of(super().wire_keys, set(self.driven) - set(taken)) if self.driven else []
 
     def check_driver(self) -> None:
         """Raise ValueError for axes that are driven twice or by no driver, and if a driver cannot drive its axes."""
         given = [axis for controller in self.own_controllers for axis in controller.axes]
-        if unknown := [axis for axis in given if axis not in self.all_names]:
-            raise ValueError(f'controllers: axis "{unknown[0]}", allowed: {", ".join(self.all_names)}')
+        if unknown := [axis for axis in given if axis not in self.driven]:
+            raise ValueError(f'controllers: axis "{unknown[0]}", allowed: {", ".join(self.driven)}')
         if len(set(given)) != len(given):
             raise ValueError("controllers: an axis is driven twice, allowed: each axis by one controller")
-        if set(given) >= set(self.axis_names):
+        if given and set(given) >= set(self.driven):
             raise ValueError("controllers: drive all axes, allowed: all but one, which driver drives")
         for number, part in enumerate(self.parts("").values(), -1):
             if part.has_wires:
@@ -536,12 +577,35 @@ class LinearAxes(AxisGroupTable):
     map: RailMap = RailMap()
 
 
-class Rails(LinearAxes):
-    """Three rails: x, y, z."""
+def _absent_rail() -> RailAxis:
+    return RailAxis.model_validate(RailAxis.fixed_at(0.0), strict=False)
 
-    x: RailAxis
-    y: RailAxis
-    z: RailAxis
+
+def _absent_gimbal() -> GimbalAxis:
+    return GimbalAxis.model_validate(GimbalAxis.fixed_at(0.0), strict=False)
+
+
+def with_fixed_axes(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``table`` of a rig file in which each axis with a position at which it is fixed has no other known key."""
+    filled: dict[str, Any] = {}
+    for key, value in table.items():
+        filled[key] = with_fixed_axes(value) if isinstance(value, dict) else value
+    for model in (RailAxis, GimbalAxis):
+        at = filled.get(model.key_of("fixed"))
+        if isinstance(at, int | float):
+            unknown = {key: value for key, value in filled.items() if key not in model.model_fields}
+            return unknown | model.fixed_at(at)
+    return filled
+
+
+class Rails(LinearAxes):
+    """Rails x, y, z, each driven or fixed; one that the file does not have is fixed at 0."""
+
+    without_wires: ClassVar = ("mock", "none")
+
+    x: RailAxis = Field(default_factory=_absent_rail)
+    y: RailAxis = Field(default_factory=_absent_rail)
+    z: RailAxis = Field(default_factory=_absent_rail)
     controllers: tuple[RailController, ...] = ()
     """`[[rails.controllers]]`: axes on a controller of their own."""
 
@@ -580,11 +644,13 @@ class RotaryAxes(AxisGroupTable):
 
 
 class Turntable(RotaryAxes):
-    """Three gimbals: roll, pitch, yaw."""
+    """Gimbals roll, pitch, yaw, each driven or fixed; one that the file does not have is fixed at 0."""
 
-    roll: GimbalAxis
-    pitch: GimbalAxis
-    yaw: GimbalAxis
+    without_wires: ClassVar = ("mock", "none")
+
+    roll: GimbalAxis = Field(default_factory=_absent_gimbal)
+    pitch: GimbalAxis = Field(default_factory=_absent_gimbal)
+    yaw: GimbalAxis = Field(default_factory=_absent_gimbal)
     controllers: tuple[GimbalController, ...] = ()
     """`[[turntable.controllers]]`: axes on a controller of their own."""
 
@@ -630,8 +696,6 @@ class HeldRotaryAxes(RotaryAxes, HeldAtPlace):
 
 class RotaryManipulator(Turntable):
     """Manipulator of the target: three gimbals that rotate it, which show the relative rotation as far as they can."""
-
-    without_wires: ClassVar = ("mock", "none")
 
     following_error_max_deg: Positive = 0.5
     """Largest following error at rest."""
@@ -693,6 +757,7 @@ class Vmu(DeviceTable):
     """Vision measurement unit."""
 
     device: ClassVar = "vmu"
+    without_wires: ClassVar = ("mock", "none")
 
     timeout_s: Positive = 0.4
     """Longest time without a new frame."""
@@ -789,6 +854,17 @@ class Rig(FileTable):
         return None if target is None or target.driver == "none" else target
 
     @property
+    def undriven(self) -> list[str]:
+        """Full names of those of ``BENCH_AXES`` that have no drive."""
+        groups = {"rails": self.rails, "turntable": self.turntable}
+        return [name for name in BENCH_AXES if name.partition(".")[2] not in groups[name.partition(".")[0]].driven]
+
+    @property
+    def is_reduced(self) -> bool:
+        """Whether the bench cannot show every pose, or has L not parallel to H."""
+        return bool(self.undriven) or self.bench.lab_axes != UNIT_AXES
+
+    @property
     def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
         """Axes that move the target, device ``target``; None without any."""
         return self.moved_target or self.rotated_target
@@ -836,9 +912,25 @@ class Rig(FileTable):
         return self
 
     @property
+    def has_vmu(self) -> bool:
+        """Whether the bench has a vision unit; without one other sensors give the navigation what it needs."""
+        return self.vmu.driver != "none"
+
+    @property
     def has_io(self) -> bool:
         """Whether the bench has a coupler of digital lines."""
         return self.io is not None and self.io.driver != "none"
+
+    @model_validator(mode="after")
+    def _fixed_gimbal_is_off_the_pole(self) -> Self:
+        name = {"x": "roll", "y": "pitch", "z": "yaw"}[self.bench.gimbal_order[1]]
+        middle: GimbalAxis = getattr(self.turntable, name)
+        if middle.is_fixed and abs(middle.park_deg) > MIDDLE_AXIS_MAX_DEG:
+            raise ValueError(
+                f"turntable.{name}.fixed_deg {middle.park_deg:g}: the middle gimbal of bench.gimbal_order, allowed "
+                f"-{MIDDLE_AXIS_MAX_DEG:g} to {MIDDLE_AXIS_MAX_DEG:g}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _one_thing_moves_the_target(self) -> Self:
@@ -848,6 +940,9 @@ class Rig(FileTable):
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
+        for key, group in (("rails", self.rails), ("turntable", self.turntable)):
+            if group.driver == "none" and group.driven:
+                raise ValueError(f'{key}.driver = "none": drives no axis, allowed: fixed {", ".join(group.driven)}')
         for key, table in self.device_tables().items():
             if (table.driver == "mock") != (self.kind == "mock"):
                 raise ValueError(f'{key}.driver = "{table.driver}" does not go with kind = "{self.kind}"')
@@ -953,10 +1048,10 @@ class Rig(FileTable):
         tables: dict[str, DeviceTable] = {}
         for key, group in groups.items():
             keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
-            tables |= zip(keys, group.parts(key).values(), strict=True)
+            tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
         if self.io is not None and self.has_io:
             tables["io"] = self.io
-        return {**tables, "vmu": self.vmu}
+        return tables | ({"vmu": self.vmu} if self.has_vmu else {})
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.fields import Field, record_dtype
+from hil.core.fields import Field, leaf_fields, record_dtype
 
 Array = npt.NDArray[np.float64]
 
@@ -218,6 +218,7 @@ CYCLE_FIELDS: Final = (
     ),
 )
 CYCLE = record_dtype(CYCLE_FIELDS)
+_OF_THRUSTERS: Final = {f.name.rpartition(".")[2] for f in leaf_fields(CYCLE_FIELDS) if f.shape == MAX_THRUSTERS}
 
 IMU_SAMPLE_FIELDS: Final = (
     Field("cycle", "i8", (), "1", "", "number of the cycle that uses it"),
@@ -269,6 +270,25 @@ def new(dtype: np.dtype) -> np.record:
     return record
 
 
+def with_thrusters(records: np.ndarray, n: int) -> np.ndarray:
+    """Return a view of ``records``, of CYCLE or a part of it, whose arrays of thrusters have ``n`` elements."""
+    return records.view(_with_thrusters(records.dtype, n))
+
+
+def _with_thrusters(dtype: np.dtype, n: int) -> np.dtype:
+    if dtype.fields is None or dtype.names is None:
+        return dtype
+    formats: list[np.dtype] = [
+        np.dtype((inner.base, (min(n, inner.shape[0]),)))
+        if inner.shape and name.rpartition(".")[2] in _OF_THRUSTERS
+        else _with_thrusters(inner, n)
+        for name, (inner, *_) in dtype.fields.items()
+    ]
+    offsets = [offset for _, offset, *_ in dtype.fields.values()]
+    names = list(dtype.names)
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": dtype.itemsize})
+
+
 def imu_samples(row: np.ndarray, n: int) -> np.ndarray:
     """Return memory for the IMU's samples of a cycle, (n,) of IMU; for one it is ``imu`` of ``row``, (1,) of CYCLE."""
     return row["imu"].view(np.ndarray) if n == 1 else np.zeros(n, IMU)
@@ -297,7 +317,7 @@ class AxisFeedback:
 
     position: shape (n,), m or rad; rate: shape (n,), m/s or rad/s; t_s: bench time of the sample.
     homing: of each axis; only at DONE does its position refer to the bench. limit: limit switch that
-    each axis is on, -1 the low one, 1 the high one, 0 none.
+    each axis is on, -1 the low one, 1 the high one, 0 none. Unless given: all axes are at DONE, and on no switch.
     """
 
     t_s: float
@@ -305,6 +325,14 @@ class AxisFeedback:
     rate: Array
     homing: tuple[Homing, ...] = HOMED
     limit: tuple[int, ...] = NO_LIMIT
+
+    def __post_init__(self) -> None:
+        """Give groups of other than three axes the defaults of their number of axes."""
+        n = len(self.position)
+        if n != len(HOMED) and (self.homing is HOMED or self.limit is NO_LIMIT):
+            homing, limit = (Homing.DONE,) * n, (0,) * n
+            object.__setattr__(self, "homing", homing if self.homing is HOMED else self.homing)
+            object.__setattr__(self, "limit", limit if self.limit is NO_LIMIT else self.limit)
 
 
 class IoInputs(NamedTuple):

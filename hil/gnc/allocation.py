@@ -8,6 +8,7 @@ of the force axes: all thrusters that push that way.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +19,7 @@ from hil.maths import linear
 from hil.maths.elementary import square
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
+IN_PLANE = (0, 2, 4)  # those of a vehicle that moves in the x-z plane
 ROWS = 9  # of the sets: the six axes, then force x, y, z again with the full-thrust sets
 _LARGEST_SET = 4
 _COST_PER_THRUSTER = 0.02  # in units of unwanted over wanted part of the wrench
@@ -30,11 +32,13 @@ def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
     return np.hstack([force, np.cross(position_m, force)])
 
 
-def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarray, Array]:
-    """Return the best set for each axis and sign, and its strength.
+def thruster_sets(
+    wrenches: Array, full_thrust: bool = False, axes: Sequence[int] = range(AXES_OF_A_BODY)
+) -> tuple[np.ndarray, Array]:
+    """Return the best set for each axis and sign, and its strength; of ``axes`` alone, the others have no set.
 
     wrenches: (n, 6). Returns ``sets``, int64 (6, 2, n) of 0 or 1, second index 0 for the negative
-    and 1 for the positive demand, and ``strength`` (6,), N or N m, the weaker of the two signs.
+    and 1 for the positive demand, and ``strength`` (6,), N or N m, the weaker of the two signs, inf without a set.
     A set is best if its unwanted force and torque are smallest relative to the wanted one; a torque
     counts as the force at the thrusters' mean arm. Of equally clean sets the smallest is best, with
     ``full_thrust`` the strongest. Raises ValueError if no set of up to four thrusters moves an axis.
@@ -42,7 +46,7 @@ def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarra
     masks, totals, cost = _candidates(wrenches, full_thrust)
     sets = np.zeros((AXES_OF_A_BODY, 2, len(wrenches)), dtype=np.int64)
     strength = np.full(AXES_OF_A_BODY, np.inf)
-    for axis in range(AXES_OF_A_BODY):
+    for axis in axes:
         for sign_index, sign in enumerate((-1.0, 1.0)):
             best = _best(cost[axis, sign_index])
             if best < 0:

@@ -65,6 +65,7 @@ CONTROL_PARAMS = np.dtype(
         ("high_thrust_acceleration", "f8", 3),  # m/s^2 of a force demand with the full-thrust sets
         ("inertia", "f8", (3, 3)),  # kg m^2, in c
         ("predicts", "i8"),  # 1: burns are those of the predictive law
+        ("held", "i8", 6),  # 1: an axis in which the vehicle is held has no demands
     ],
     align=True,
 )
@@ -375,23 +376,17 @@ def control(params, navigation, reference, feed, command):
     for i in range(3):
         acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
         sigma, sigma_rate = navigation.sigma_r_m[i], navigation.sigma_v_mps[i]
-        update_axis(
-            params, feed, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], sustained_c[i], acceleration,
-            command,
-        )  # fmt: skip
-        update_axis(
-            params,
-            feed,
-            3 + i,
-            rotation[i],
-            navigation.w_CH_C[i] - feed.rate_C[i] + feed.transit_C[3 + i],
-            navigation.sigma_attitude_rad[i],
-            0.0,
-            feed.acceleration[3 + i],
-            feed.acceleration[3 + i] if feed.rotates != 0 else 0.0,
-            params.acceleration[3 + i],
-            command,
-        )
+        if params.held[i] == 0:
+            update_axis(
+                params, feed, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], sustained_c[i],
+                acceleration, command,
+            )  # fmt: skip
+        if params.held[3 + i] == 0:
+            update_axis(
+                params, feed, 3 + i, rotation[i], navigation.w_CH_C[i] - feed.rate_C[i] + feed.transit_C[3 + i],
+                navigation.sigma_attitude_rad[i], 0.0, feed.acceleration[3 + i],
+                feed.acceleration[3 + i] if feed.rotates != 0 else 0.0, params.acceleration[3 + i], command,
+            )  # fmt: skip
 
 
 @kernel
@@ -413,3 +408,7 @@ def predict_hold(params, navigation, reference, feed, hold):
             params, 3 + i, rotation[i], navigation.w_CH_C[i] - feed.rate_C[i], navigation.sigma_attitude_rad[i], 0.0,
             feed.acceleration[3 + i] if feed.rotates != 0 else 0.0, params.acceleration[3 + i] * shortest,
         )  # fmt: skip
+        if params.held[i] != 0:
+            hold[i] = abs(navigation.r_CT_H[i] - reference.r_CT_H[i])
+        if params.held[3 + i] != 0:
+            hold[3 + i] = abs(rotation[i])

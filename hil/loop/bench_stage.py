@@ -86,6 +86,7 @@ class BenchStage:
         )
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self._left = kernel_record(new(AXES))  # of the last demanded pose, what the manipulator leaves
+        self._related = kernel_record(new(AXES))  # ``wanted`` of the last cycle, nan before the first
         self._rate = np.empty(3)
         self._limits = self.params
         """BENCH_PARAMS with the limits that the devices have for catching up."""
@@ -172,6 +173,7 @@ class BenchStage:
         state.tick, state.span.known, state.limited_in_row = 0, 0, 0
         np.asarray(self._guard_memory)[...] = np.zeros((), BENCH_GUARD_MEMORY)
         if self.manipulator is not None:
+            self._related.rail_m = self._related.gimbal_rad = math.nan
             self.manipulator.seed(now_s)
 
     def seed_for_run(self, now_s: float) -> None:
@@ -203,6 +205,19 @@ class BenchStage:
         self.axes_of(remaining.r, remaining.v, remaining.q, remaining.w, self._left)
         self.command(self._left, now_s)
         self.manipulator.relate_setpoint(self._now.setpoint)
+        if self.params.reduced:
+            self._want_what_is_left()
+
+    def _want_what_is_left(self) -> None:
+        """Make ``wanted`` what manipulator and chaser's rig together show, if this has fixed axes."""
+        assert self.manipulator is not None
+        wanted, before = self.wanted, self._related
+        np.asarray(wanted)[...] = self._left
+        self.manipulator.relate_setpoint(wanted)
+        for position, rate in (("rail_m", "rail_mps"), ("gimbal_rad", "gimbal_radps")):
+            change = (wanted[position] - before[position]) / self.params.dt_s
+            wanted[rate] = np.where(np.isfinite(change), change, 0.0)
+        np.asarray(before)[...] = wanted
 
     def follow_on(self, now_s: float) -> None:
         """Send the setpoint of the present tick of the cycle: where the axes have to be at the next one."""

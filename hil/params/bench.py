@@ -17,7 +17,7 @@ from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import new
-from hil.maths import linear
+from hil.maths import linear, quat
 from hil.models.bodies import BODIES
 
 
@@ -54,7 +54,10 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     params.dt_s = step_s / rig.ticks(step_s)
     params.lever_arm = rig.bench.lever_arm_m
     params.order = _order(rig.bench.gimbal_order)
-    _set_axes(params, slice(6), (*rig.rails.axes, *rig.turntable.axes))
+    axes = (*rig.rails.axes, *rig.turntable.axes)
+    _set_axes(params, slice(6), axes)
+    params.reduced, params.fixed = rig.is_reduced, [axis.is_fixed for axis in axes]
+    params.q_HL = quat.from_matrix(np.array(rig.bench.lab_axes).T)
     return params
 
 
@@ -78,8 +81,15 @@ def limits_of(axes: Sequence[BenchAxis], step_s: float, first: int = 0) -> np.re
     params = new(BENCH_PARAMS)
     params.dt_s = step_s
     params.low, params.high, params.rate_max, params.acceleration_max = -1.0, 1.0, 1.0, 1.0
+    params.q_HL[3] = 1.0
     _set_axes(params, slice(first, first + len(axes)), axes)
     return params
+
+
+def _decelerations(axes: np.record) -> tuple[float, float]:
+    """Return what all driven rails and all driven gimbals brake with, m/s^2, rad/s^2. axes: BENCH_PARAMS."""
+    most = np.where(axes.fixed != 0, np.inf, axes.acceleration_max).reshape(2, 3).min(axis=1)
+    return float(most[0]), float(most[1])
 
 
 def _order(letters: str) -> list[int]:
@@ -123,14 +133,14 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     guard.following_max, guard.following_per_speed = following_limits(rig)
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
     guard.homed, guard.zone = 1, keep_out_zone(scenario)
+    guard.zone.axis = quat.transform_back(axes.q_HL, guard.zone.axis)  # the guard volume is in L
     if rig.rotated_target is not None or not rig.guard.enabled:
         guard.zone.radius, guard.zone.plane = 0.0, -math.inf
     guard.arm, guard.arm_length = axes.lever_arm, linear.length(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
     guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m)
     guard.distance, guard.reaction_s = geometry.bodies_distance_m, rig.guard.reaction_s
-    guard.deceleration = axes.acceleration_max[:3].min()
-    guard.turning_deceleration = axes.acceleration_max[3:].min()
+    guard.deceleration, guard.turning_deceleration = _decelerations(axes)
     return guard
 
 
@@ -141,14 +151,13 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params = new(BENCH_GUARD_PARAMS)
     params.enabled = config.enabled
     params.zone = keep_out_zone(scenario)
-    params.deceleration = axes.acceleration_max[:3].min()
+    params.deceleration, params.turning_deceleration = _decelerations(axes)
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
     params.chaser, params.target = (
         bodies(scenario.keep_out.bodies, "chaser"),
         bodies(scenario.keep_out.bodies, "target"),
     )
     params.distance = scenario.keep_out.distance_m
-    params.turning_deceleration = axes.acceleration_max[3:].min()
     params.arm = linear.length(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles

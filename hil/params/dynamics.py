@@ -19,7 +19,7 @@ from hil.dynamics.gravity_file import GravityField
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.solar_pressure import SOLAR_PRESSURE_PA
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
-from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
+from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR, hold_in_plane
 from hil.errors import BadInput, Problem
 from hil.maths import elementary, euler, linear, quat
 from hil.maths.elementary import square
@@ -91,6 +91,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params = new(DSS_PARAMS)
     params.dt_s = scenario.sample_s
     params.relative_motion = HILL if scenario.truth.relative_motion == "hill" else NONLINEAR
+    params.planar = scenario.chaser.planar
     params.orbit_rate = orbit_rate(scenario)
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     params.inertia_inverse = linear.inverse(params.inertia)
@@ -237,6 +238,8 @@ def initial_truth(scenario: Scenario) -> np.record:
     # w_CI = w_CH + A(q_CH) w_HI
     truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, truth.w_HI_H)
     truth.mean_rate_C = truth.w_CI_C
+    if scenario.chaser.planar:
+        hold_in_plane(truth)  # also a dispersed start
     truth.sunlight = _sunlight(scenario, truth.r_T_I)
     truth.mass_kg = scenario.chaser.mass_kg
     return truth

@@ -13,6 +13,7 @@ from hil.core.messages import MAX_THRUSTERS, POSE, Array, new
 from hil.dynamics.hill import input_response, transition
 from hil.gnc.allocation import (
     AXES_OF_A_BODY,
+    IN_PLANE,
     ROWS,
     opposing_thrusters,
     sets_without,
@@ -428,22 +429,25 @@ def approach_monitor(scenario: Scenario) -> np.record:
 def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
     """Return the thruster sets, int64 (ROWS, 2, MAX_THRUSTERS), and the strength (ROWS,), N and N m, of each row.
 
-    Raises ValueError if the layout cannot move an axis.
+    Axes in which a planar chaser is held have no set, and the least strength of the others. Raises ValueError if the
+    layout cannot move an axis.
     """
-    sets, strength = _allocation(chaser.thrusters)
+    sets, strength = _allocation(chaser.thrusters, chaser.planar)
     return sets.copy(), strength.copy()
 
 
 @lru_cache(maxsize=8)
-def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
+def _allocation(thrusters: Thrusters, planar: bool) -> tuple[np.ndarray, Array]:
     """Return ``allocation``, cached by layout: it searches thousands of sets."""
     n, wrenches = len(thrusters.position_m), wrenches_of(thrusters)
+    axes = IN_PLANE if planar else range(AXES_OF_A_BODY)
     sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
-    chosen, strength = thruster_sets(wrenches)
+    chosen, strength = thruster_sets(wrenches, axes=axes)
     sets[:AXES_OF_A_BODY, :, :n] = chosen
-    full, high_thrust = thruster_sets(wrenches, full_thrust=True)
+    full, high_thrust = thruster_sets(wrenches, full_thrust=True, axes=axes)
     sets[AXES_OF_A_BODY:, :, :n] = full[:3]
-    return sets, np.concatenate([strength, high_thrust[:3]])
+    rows = np.concatenate([strength, high_thrust[:3]]).reshape(3, 3)
+    return sets, np.where(np.isfinite(rows), rows, rows.min(axis=1, keepdims=True)).ravel()
 
 
 @lru_cache(maxsize=8)
@@ -513,4 +517,5 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     params.predicts = settings.backend == config.PREDICTIVE
+    params.held = [scenario.chaser.planar and axis not in IN_PLANE for axis in range(AXES_OF_A_BODY)]
     return params

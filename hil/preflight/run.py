@@ -11,6 +11,7 @@ from typing import Any
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
 from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
+from hil.checks.unseen import unseen_warnings
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -71,6 +72,7 @@ def preflight(
     checks = host_checks(probe(folder), cycles, on_hardware)
     announce("checking the planned trajectory")
     checks.append(reachability_check(scenario, rig))
+    checks += [PreflightCheck("axes", None, line) for line in unseen_warnings(run, rig.value)]
     if rig.value.kind != "mock":
         checks.append(overtravel_check(rig.value))
     if on_hardware:
@@ -127,7 +129,9 @@ def overtravel_check(rig: Rig) -> PreflightCheck:
     """Return how far the hard-wired overtravel switches must lie beyond the soft limits: v^2 / 2a of each axis."""
     texts = []
     for device, table, unit in (("rails", rig.rails, "m"), ("turntable", rig.turntable, "deg")):
-        paths = (axis.in_file("rate_max") ** 2 / (2.0 * axis.in_file("acceleration_max")) for axis in table.axes)
-        texts += [f"{device}.{name} {path:.2f} {unit}" for name, path in zip(table.axis_names, paths, strict=True)]
+        for name in table.driven:
+            axis = getattr(table, name)
+            path = axis.in_file("rate_max") ** 2 / (2.0 * axis.in_file("acceleration_max"))
+            texts.append(f"{device}.{name} {path:.2f} {unit}")
     value = f"hard-wired switches at least this far beyond the travel: {', '.join(texts)}"
     return PreflightCheck("overtravel", None, value, "measure it: their places are not in the rig file")

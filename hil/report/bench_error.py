@@ -13,9 +13,10 @@ import numpy as np
 
 from hil.bench.energy import add_work
 from hil.bench.field_of_view import camera_errors
+from hil.bench.kinematics import not_shown, unseen
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import Array
+from hil.core.messages import AXES, Array, new
 from hil.maths import elementary, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
@@ -43,6 +44,8 @@ class BenchErrorSums:
         # of bench and estimate, before the navigation has settled and from then on
         self._shares = [[(Squares(), Squares()) for _ in ("position", "attitude")] for _ in ("before", "settled")]
         self._work = np.zeros(4)
+        self._is_relative = rig.rotated_target is not None
+        self._unseen = np.zeros(6) if rig.undriven else None
 
     def add(self, history: np.ndarray) -> None:
         """Add the rows (n,) of CYCLE; the first of them is the last row that was added before, if there was any."""
@@ -53,6 +56,7 @@ class BenchErrorSums:
         fraction = rows["truth"]["thrust_fraction"][:, : len(self._wrenches)]
         force, torque = linear.product(fraction, self._wrenches[:, :3]), linear.product(fraction, self._wrenches[:, 3:])
         add_work(self._params, force, torque, rail_m, gimbal_rad, r, q, self._work)
+        self._add_unseen(rail_m, gimbal_rad, r, q)
         distance, angle = _camera_errors(self._params, self._mounting, rows, rail_m, gimbal_rad)
         new = rows["t_s"] > self._counted_s
         rows, distance, angle = rows[new], distance[new], angle[new]
@@ -60,6 +64,17 @@ class BenchErrorSums:
         self._distance.add(1e3 * distance)
         self._angle.add(np.degrees(angle))
         self._add_shares(rows, distance, angle)
+
+    def _add_unseen(self, rail_m: Array, gimbal_rad: Array, r_CT_H: Array, q_CH: Array) -> None:
+        """Add what the axes do not show; with a manipulator, which shares the pose, by the encoders."""
+        if self._unseen is None:
+            return
+        out = np.empty((len(r_CT_H), 6))
+        if self._is_relative:
+            not_shown(self._params, rail_m, gimbal_rad, r_CT_H, q_CH, out)
+        else:
+            unseen(self._params, r_CT_H, q_CH, new(AXES), out)
+        np.maximum(self._unseen, np.abs(out).max(axis=0), out=self._unseen)
 
     def _add_shares(self, rows: np.ndarray, distance: Array, angle: Array) -> None:
         truth, estimate = rows["truth"], rows["navigation"]
@@ -87,6 +102,8 @@ class BenchErrorSums:
             "share_of_navigation_error": _ratio(*position),
             "share_of_attitude_error": _ratio(*attitude),
             "energy": dict(zip(ENERGY_KEYS, self._work.tolist(), strict=True)),
+            "unseen_m": None if self._unseen is None else self._unseen[:3].tolist(),
+            "unseen_deg": None if self._unseen is None else np.degrees(self._unseen[3:]).tolist(),
         }
 
 

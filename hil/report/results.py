@@ -230,6 +230,12 @@ class BenchResults(Results):
     share_of_attitude_error: float | None = row("the same of the attitude")
     energy: dict[str, float] | None = row("work of the thrusters on the truth, and what the axes add to it")
     limited_cycles: int = row("cycles with a limited setpoint")
+    unseen_m: Vector | None = row(
+        "[3], largest part of the truth's position that axes without a drive leave out; null if all have one",
+        "not shown x y z, mm",
+        _MM,
+    )
+    unseen_deg: Vector | None = row("[3], the same of the attitude, about c")
     true_pose_error_mm: RmsMax | None = row("the same by the true axes", "camera error by true axes, rms mm", _RMS)
     true_pose_error_deg: RmsMax | None = row("the same of its attitude")
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from rich.console import Console
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -14,9 +15,11 @@ from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report import results
+from hil.report.explanations import explanation_of
 from hil.report.results import RunResults, number
 from hil.report.verdict import TABLE_V, Verdict
 
+_INDENT: Final = 12
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
     "velocity_mps": ("rate", ("x", "y", "z"), "mm/s", 1e3),
@@ -30,12 +33,17 @@ def _say(console: Console, text: str | Text, style: str | None = None) -> None:
     console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
-def render(run: RunResults, verdict: Verdict, requirements: Requirements, console: Console) -> None:
-    """Print the run's verdict and key numbers."""
+def render(
+    run: RunResults, verdict: Verdict, requirements: Requirements, console: Console, explain: bool = False
+) -> None:
+    """Print the run's verdict and key numbers. explain: with what each line means."""
     if verdict.worst is not None:
         console.print(_ready_phase(run, verdict, requirements))
     for line in _lines(run):
         _say(console, line)
+        plain = line.plain if isinstance(line, Text) else Text.from_markup(line).plain
+        if explain and (meaning := explanation_of(plain)):
+            console.print(Padding(Text(meaning, style="dim"), (0, 0, 0, _INDENT)))
     print_sign_off(run.sign_off, console)
     print_waived(run.waived, console)
     word = "[bold green]PASS[/]" if run.accepted else "[bold red]FAIL[/]"
@@ -248,6 +256,11 @@ def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Itera
         fraction = bench.share_of_navigation_error
         share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
         yield f"Bench       camera error {errors}{share}"
+    if bench.unseen_m is not None and bench.unseen_deg is not None:
+        yield (
+            f"[yellow]            not shown: up to x y z {number('.3f')(bench.unseen_m)} m in H, "
+            f"{number('.3f')(bench.unseen_deg)} deg about c, by axes without a drive[/]"
+        )
     if text := _energy_added_text(bench.energy or {}):
         yield f"            {text}"
     if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from hil.session.compiled import Kernels, kernels_are_cached, mark_kernels_cache
 
 FIRST_START = "first start: compiling the kernels for this computer, once"
 _CYCLES = 10
+_BESIDE: Final = ({"group": "gnc"}, {"group": "verdict", "niceness": 10})  # nothing waits for the verdict's
 _CHILD_WALL_S = 600.0  # a computer that is busy takes several minutes
 
 
@@ -47,7 +48,7 @@ class Compilation:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._group: Kernels = "loop" if runs_compiled(job) else "cycle"
-        self._child: ChildProcess | None = None
+        self._children: list[ChildProcess] = []
         self._notice = ""
         self._processes = ExitStack()
 
@@ -55,7 +56,7 @@ class Compilation:
         if not kernels_are_cached(self._group):
             self._notice = kernel_folder_notice()
             if kernel_folder() is not None:
-                self._child = self._processes.enter_context(_compiler_of_the_gnc())
+                self._children = self._processes.enter_context(_compilers())
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -68,10 +69,10 @@ class Compilation:
         """
         if self._notice:
             announce(self._notice)
-        if self._child is not None:
+        if self._children:
             announce(FIRST_START)
             started_s = time.perf_counter()
-            _compile_beside(self._child, self._group, self._job)
+            _compile_beside(self._children, self._group, self._job)
             announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
         if self._group == "cycle" and (self._job.paced or self._job.rig.value.kind != "mock"):
             warm_up(self._job)
@@ -85,28 +86,35 @@ def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
 
 def compile_group(group: Kernels, job: Job) -> None:
     """Compile the kernels of ``group``: those of the GNC and of the verdict in a child process, the others here."""
-    with _compiler_of_the_gnc() as child:
-        _compile_beside(child, group, job)
+    with _compilers() as children:
+        _compile_beside(children, group, job)
 
 
-def _compile_beside(child: ChildProcess, group: Kernels, job: Job) -> None:
-    """Compile what ``child`` does not, and wait for it."""
+def _compile_beside(children: list[ChildProcess], group: Kernels, job: Job) -> None:
+    """Compile what ``children`` do not, and wait for them."""
     warm_up_all_but_gnc(job)
     if group == "loop":
         in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
     else:
         warm_up(job)
-    child.wait_end(_CHILD_WALL_S)
+    for child in children:
+        child.wait_end(_CHILD_WALL_S)
     mark_kernels_cached(group)
 
 
 @contextmanager
-def _compiler_of_the_gnc() -> Iterator[ChildProcess]:
-    with ChildProcess("precompile process", "hil.cli.precompile", {"group": "run"}) as child:
+def _compilers() -> Iterator[list[ChildProcess]]:
+    """Compile the GNC, and in the time that it leaves to others the verdict, until the end of the context."""
+    with ExitStack() as processes:
+        children = [
+            processes.enter_context(ChildProcess(f"precompile process, {each['group']}", "hil.cli.precompile", each))
+            for each in _BESIDE
+        ]
         try:
-            yield child
+            yield children
         finally:
-            child.kill()
+            for child in children:
+                child.kill()
 
 
 def warm_up(job: Job) -> None:

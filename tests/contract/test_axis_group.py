@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -172,6 +173,15 @@ def _further(key: str, n: int, driver: str, **keys: Any) -> AxisGroupTable:
     return found
 
 
+def _without(table: AxisGroupTable, *names: str) -> AxisGroupTable:
+    """Return what the driver of ``table`` gets if the axes ``names`` are fixed."""
+    axis = type(table.axes[0])
+    fixed = axis.model_validate(axis.fixed_at(0.0), strict=False)
+    (part,) = table.model_copy(update=dict.fromkeys(names, fixed)).parts(table.device).values()
+    return part
+
+
+ONE_AXIS = str(Path(__file__).parent.parent / "support" / "one_axis.toml")
 IDS = (11, 12, 13, 14, 15, 16)
 WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "rails-modbus": lambda: RIG.rails,
@@ -185,6 +195,11 @@ WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "turntable-cia402": lambda: RIG.turntable,
     "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
     "turntable-acu": lambda: _ascii("acu"),
+    "two-rails-modbus": lambda: _without(RIG.rails, "z"),
+    "one-rail-modbus-rtu": lambda: _without(RTU_RAILS, "x", "y"),
+    "two-gimbals-cia402": lambda: _without(RIG.turntable, "roll"),
+    "yaw-cia402": lambda: _without(RIG.turntable, "roll", "pitch"),
+    "yaw-ascii": lambda: _without(_ascii(ONE_AXIS), "roll", "pitch"),
     "one-modbus": lambda: _further("linear_axes", 1, "modbus"),
     "six-modbus": lambda: _further("linear_axes", 6, "modbus"),
     "six-modbus-rtu": lambda: _further("linear_axes", 6, "modbus_rtu", rtu={"device_ids": IDS, "baud": 460_800}),
@@ -235,7 +250,8 @@ def _slow_makes() -> list[str]:
 def _wired_of(rig_file: str) -> dict[str, AxisGroupTable]:
     """Return the tables of all axes on wires, by names, but the target's."""
     groups = load_rig(rig_file).value.axis_groups
-    return {name: table for name, table in groups.items() if table.has_wires and name != "target"}
+    wired = {name: table for name, table in groups.items() if table.has_wires and table.driven and name != "target"}
+    return {name: table.parts(name)[name] if len(table.parts(name)) == 1 else table for name, table in wired.items()}
 
 
 def _incremental(config: AxisGroupTable) -> Any:

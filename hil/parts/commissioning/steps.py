@@ -56,8 +56,9 @@ class Findings:
 
 @dataclass(frozen=True)
 class CommissioningPlan:
-    """Scope of a commissioning. axes: to be commissioned, 0..2 rails, 3..5 gimbals. signed: axes signed off before; if
-    both together are all six, a dry run follows. ends: whether the ends of the travels are approached."""
+    """Scope of a commissioning. axes: to be commissioned, 0..2 rails, 3..5 gimbals. signed: axes signed off before, or
+    without a drive; if both together are all six, a dry run follows. ends: whether the ends of the travels are
+    approached."""
 
     axes: Sequence[int]
     signed: Sequence[int] = ()

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from typing import Final
 
 from hil.config.load import load_protocol
-from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.config.rig import Turntable
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.tcp_port import SCHEME, is_tcp
@@ -21,8 +20,6 @@ from hil.parts.emulation.fault_injection import FaultyChannel, FaultyWire
 from hil.parts.emulation.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.shared_state import SharedAxisState
-
-_ALL: Final = (0, 1, 2)
 
 
 class _AsciiServer(ModbusTcpEmulator):
@@ -77,10 +74,12 @@ class AsciiTurntableEmulator:
         self.faults = self.gimbals.faults
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
         self.splitter = self.protocol.requests.splitter()
-        self._enabled = [False, False, False]
-        self._homing = [False, False, False]  # until the axis is at rest again
+        n = len(self.gimbals.names)
+        self._all = range(n)
+        self._enabled = [False] * n
+        self._homing = [False] * n  # until the axis is at rest again
         self._quick_stopped = False
-        self.fault = [0, 0, 0]
+        self.fault = [0] * n
         self._frozen: FieldValues | None = None
         self._server: _AsciiServer | None = None
         self._line: PtyLine | None = None
@@ -143,13 +142,13 @@ class AsciiTurntableEmulator:
         return self.protocol.reply(sequence, line, axis, self._report())
 
     def _refuses(self, action: str, axis: int) -> bool:
-        axes = _ALL if axis == DEVICE else (axis,)
+        axes = self._all if axis == DEVICE else (axis,)
         if action == "enable":
             return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
         return action == "home" and not all(self._enabled[i] for i in axes)
 
     def _execute(self, line: AsciiCommand, axis: int, values: FieldValues) -> None:
-        for i in _ALL if axis == DEVICE else (axis,):
+        for i in self._all if axis == DEVICE else (axis,):
             if line.action == "set":
                 position = values.get(("position", i), self.gimbals.position[i])
                 self._follow(i, float(position), float(values.get(("rate", i), 0.0)))
@@ -186,7 +185,7 @@ class AsciiTurntableEmulator:
 
     def _advance(self) -> None:
         self.gimbals.advance(self._clock.now_s())
-        for axis, name in enumerate(GIMBAL_NAMES):
+        for axis, name in enumerate(self.gimbals.names):
             self._homing[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
             switched = self.faults.pop("drive_fault", name)
             if switched is not None:
@@ -226,7 +225,7 @@ class AsciiTurntableEmulator:
         words = self._words
         report: FieldValues = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
         report |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
-        for axis in _ALL:
+        for axis in self._all:
             report["position", axis] = float(self.gimbals.position[axis])
             report["rate", axis] = float(self.gimbals.rate[axis])
             report["status", axis] = self._status(axis)

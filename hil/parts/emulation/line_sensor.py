@@ -1,4 +1,4 @@
-"""An emulated sensor on a serial wire: measures while it is asked to, and sends each measurement as a line."""
+"""An emulated sensor on a serial wire or on UDP: measures while it is asked to, and sends each measurement."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Final
 
 from hil.core.clock import BenchClock
 from hil.core.line_protocol import LineProtocol
+from hil.drivers.datagrams import DatagramSender
 from hil.maths.random_streams import stream
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
 from hil.parts.emulation.pty_line import PtyLine
@@ -17,10 +18,10 @@ _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is droppe
 
 
 class LineSensorEmulator:
-    """Sensor ``name`` on a pseudo terminal.
+    """Sensor ``name`` on a pseudo terminal, or on ``wire``.
 
     measure_at: returns the components of measurement ``number`` at a bench time, s, None if there is none. Each line
-    leaves ``latency_s`` after its measurement.
+    leaves ``latency_s`` after its measurement. encode: returns it by time and components; None: the protocol's.
     """
 
     def __init__(
@@ -31,12 +32,15 @@ class LineSensorEmulator:
         times: tuple[float, float],
         clock: BenchClock,
         seed: int = 0,
+        wire: DatagramSender | None = None,
+        encode: Callable[[float, Sequence[float]], bytes] | None = None,
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
+        self._encode = encode or (lambda _, values: protocol.encode(values))
         self._rate_hz, self._latency_s = times
         self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self._line = PtyLine(protocol.baud, clock)
+        self._line = wire or PtyLine(protocol.baud, clock)
         self._measures = not protocol.start
         self._received, self._last = b"", b""
 
@@ -78,6 +82,6 @@ class LineSensorEmulator:
         """Put the line of measurement ``number`` on its way."""
         values = self._measure_at(measured_s, number)
         if self.faults.value("freeze") is None or not self._last:
-            self._last = b"" if values is None else self._protocol.encode(values)
+            self._last = b"" if values is None else self._encode(measured_s, values)
         if self._last:
             self._channel.put(self._last, measured_s + self._latency_s)

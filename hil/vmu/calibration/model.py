@@ -9,9 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.rig import BenchGeometry
+from hil.config.rig import UNIT_AXES, BenchGeometry
 from hil.config.vmu_geometry import VmuCamera, VmuGeometry
 from hil.core.messages import Array
+from hil.errors import BadInput
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.chain import (
     BASELINE,
@@ -73,7 +74,9 @@ class TurntableModel:
 
     @classmethod
     def of(cls, bench: BenchGeometry) -> TurntableModel:
-        """Return the turntable model of a rig file."""
+        """Return the turntable model of a rig file. Raises BadInput if L is not parallel to H."""
+        if bench.lab_axes != UNIT_AXES:
+            raise BadInput.single("rig", "rig.bench.lab_axes", "cameras are calibrated with L parallel to H")
         return cls(
             np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
         )

@@ -28,7 +28,7 @@ def cache_with(monkeypatch: pytest.MonkeyPatch) -> CacheWith:
         done: Steps = []
         monkeypatch.setattr(warm_up, "kernels_are_cached", lambda group: group in groups)
         monkeypatch.setattr(warm_up, "_compile_beside", lambda _, group, __: done.append(f"compile the {group}"))
-        monkeypatch.setattr(warm_up, "_compiler_of_the_gnc", lambda: nullcontext("a process"))
+        monkeypatch.setattr(warm_up, "_compilers", lambda: nullcontext(["a process"]))
         monkeypatch.setattr(warm_up, "warm_up", lambda *_: done.append("call all kernels"))
         return done
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.config.load import load_protocol
 from hil.config.protocol import Protocol
-from hil.config.rig import GIMBAL_NAMES, AsciiTurntableLine, Turntable
+from hil.config.rig import AsciiTurntableLine, Turntable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
@@ -36,7 +36,7 @@ class AsciiLink:
 
     def __init__(self, device: str, config: Turntable, line: AsciiTurntableLine, clock: BenchClock) -> None:
         self.device = device
-        self.axis_names = full_names(device, GIMBAL_NAMES)
+        self.axis_names = full_names(device, config.axis_names)
         loaded = load_protocol(line.protocol)
         self._protocol: Protocol = loaded.value
         self._bits = self._protocol.bits
@@ -44,10 +44,10 @@ class AsciiLink:
         self._identity = line.identity
         self._clock = clock
         self._wire = AsciiTransport(device, str(line.port), line.baud, config.timeout_s, self._ascii, clock)
-        encoders = [getattr(config, name).encoder for name in GIMBAL_NAMES]
+        encoders = [axis.encoder for axis in config.axes]
         self._needs_home = [encoder == "incremental" for encoder in encoders]
         if any(self._needs_home) and not self._protocol.requests.home:
-            axis = GIMBAL_NAMES[self._needs_home.index(True)]
+            axis = config.axis_names[self._needs_home.index(True)]
             text = f'"incremental": protocol {self._protocol.name} ({loaded.source}) has no requests.home'
             raise BadInput.single("rig", f"turntable.{axis}.encoder", text)
         self._unanswered, self._unanswered_axis = self._ascii.lines["status"][0], DEVICE
@@ -55,7 +55,7 @@ class AsciiLink:
 
     def _reset(self) -> None:
         self._stopped = False
-        self._homing_started = [False, False, False]
+        self._homing_started = [False] * len(self.axis_names)
         self._homing = [Homing.NEEDED if needed else Homing.DONE for needed in self._needs_home]
         self._previous: tuple[float, Array] | None = None
 
@@ -103,7 +103,7 @@ class AsciiLink:
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
         """Send the setpoint and read the report; after ``quick_stop`` and before homing read the report only."""
         values: FieldValues = {}
-        for axis in range(3):
+        for axis in range(len(self.axis_names)):
             values["position", axis] = float(position[axis])
             values["rate", axis] = float(rate[axis])
         passive = self._stopped or not (self.jogging or all(state is Homing.DONE for state in self._homing))
@@ -124,7 +124,7 @@ class AsciiLink:
             for axis in line.axes:
                 if axis == DEVICE or self._homing[axis] is not Homing.DONE:
                     self._insist_on_line(line, axis)
-        for axis in range(3):
+        for axis in range(len(self.axis_names)):
             if self._homing[axis] is not Homing.DONE:
                 self._homing[axis] = Homing.UNDER_WAY
                 self._homing_started[axis] = True
@@ -215,7 +215,7 @@ class AsciiLink:
         return bit is not None and bool(int(report["status", axis]) & bit)
 
     def _is_moving(self, report: FieldValues) -> bool:
-        return any(self._has(report, axis, "moving") for axis in range(3))
+        return any(self._has(report, axis, "moving") for axis in range(len(self.axis_names)))
 
     def _check(self, report: FieldValues) -> None:
         for axis, name in enumerate(self.axis_names):
@@ -226,24 +226,23 @@ class AsciiLink:
                 raise DriveFault(name, f"was disabled by the controller, status 0x{int(report['status', axis]):02X}")
 
     def _feedback(self, sampled_s: float, report: FieldValues) -> AxisFeedback:
-        position = np.array([float(report["position", axis]) for axis in range(3)])
-        if all(("rate", axis) in report for axis in range(3)):
-            rate = np.array([float(report["rate", axis]) for axis in range(3)])
+        position = np.array([float(report["position", axis]) for axis in range(len(self.axis_names))])
+        if all(("rate", axis) in report for axis in range(len(self.axis_names))):
+            rate = np.array([float(report["rate", axis]) for axis in range(len(self.axis_names))])
         else:
             rate = self._difference(sampled_s, position)
         self._previous = (sampled_s, position)
-        for axis in range(3):
+        for axis in range(len(self.axis_names)):
             self._homing[axis] = self._homing_of(report, axis)
-        roll, pitch, yaw = self._homing
-        low = [self._has(report, axis, "limit_low") for axis in range(3)]
-        high = [self._has(report, axis, "limit_high") for axis in range(3)]
-        limit = [int(high[axis]) - int(low[axis]) for axis in range(3)]
-        return AxisFeedback(sampled_s, position, rate, (roll, pitch, yaw), (limit[0], limit[1], limit[2]))
+        low = [self._has(report, axis, "limit_low") for axis in range(len(self.axis_names))]
+        high = [self._has(report, axis, "limit_high") for axis in range(len(self.axis_names))]
+        limit = [int(high[axis]) - int(low[axis]) for axis in range(len(self.axis_names))]
+        return AxisFeedback(sampled_s, position, rate, tuple(self._homing), tuple(limit))
 
     def _difference(self, sampled_s: float, position: Array) -> Array:
-        """Return the rate, (3,), by differences, for a controller that does not report it."""
+        """Return the rate, (n,), by differences, for a controller that does not report it."""
         if self._previous is None or sampled_s <= self._previous[0]:
-            return np.zeros(3)
+            return np.zeros(len(self.axis_names))
         return (position - self._previous[1]) / (sampled_s - self._previous[0])
 
     def _homing_of(self, report: FieldValues, axis: int) -> Homing:

@@ -9,12 +9,19 @@ from hil.config.load import load_protocol
 from hil.config.rig import AsciiTurntableLine, Turntable
 from hil.config.tables.driver_registry import DriverEntry, WireKey
 from hil.drivers.tcp_port import is_tcp
+from hil.errors import BadInput
 
 _BITS_PER_BYTE: Final = 10
 
 
 def _check_files(turntable: Turntable) -> list[str]:
-    return load_protocol(turntable.ascii.protocol).value.warnings() if turntable.ascii is not None else []
+    if turntable.ascii is None:
+        return []
+    protocol = load_protocol(turntable.ascii.protocol)
+    if protocol.value.gimbals != turntable.axis_names:
+        text = f"{', '.join(protocol.value.gimbals)}: the rig has this driver for {', '.join(turntable.axis_names)}"
+        raise BadInput.single(protocol.source, "gimbals", text)
+    return protocol.value.warnings()
 
 
 def _setpoints_hz(turntable: Turntable) -> float:
@@ -39,6 +46,7 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("ascii.port", "serial")],
     check_files=_check_files,
     identity=_identity,
+    axes=range(1, 4),
     setpoints_hz=_setpoints_hz,
     keeps_bench_time=lambda table: True,
 )

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from typing import Final
 
 from hil.config.protocol import OF_AXIS, NonNegativeInt, Protocol, Step, numbers, template_places
-from hil.config.rig import GIMBAL_NAMES
 from hil.drivers.turntable.ascii.frames import BrokenLine, Framing
 from hil.errors import FaultKind
 
@@ -92,7 +91,8 @@ class MessageTemplate:
 
     def __init__(self, protocol: Protocol, text: str) -> None:
         self.text = text
-        self._axes = protocol.axes
+        self._axes = protocol.axes[: len(protocol.gimbals)]
+        self._gimbals = protocol.gimbals
         self._parts = template_places(text)
         self._formats = [
             FieldFormat(protocol, name.partition(".")[0]) for _, name in self._parts if name and name != "axis"
@@ -116,7 +116,7 @@ class MessageTemplate:
             if name == "axis":
                 out.append(self._axes[axis])
             elif name:
-                out.append(next(formats).write(values[_key(name, axis)]))
+                out.append(next(formats).write(values[self._key(name, axis)]))
         return "".join(out)
 
     def read(self, text: str, axis: int | None) -> tuple[int, FieldValues] | None:
@@ -134,7 +134,14 @@ class MessageTemplate:
         of_axis = axis if axis is not None else (axes.pop() if axes else DEVICE)
         fields = [(name, group) for name, group in zip(self.names, groups, strict=True) if name != "axis"]
         pairs = zip(fields, self._formats, strict=True)
-        return of_axis, {_key(name, of_axis): form.read(group) for (name, group), form in pairs}
+        return of_axis, {self._key(name, of_axis): form.read(group) for (name, group), form in pairs}
+
+    def _key(self, name: str, axis: int) -> Key:
+        """Return the key of a field of a template."""
+        field, _, of = name.partition(".")
+        if of:
+            return field, self._gimbals.index(of)
+        return (field, axis) if field in OF_AXIS else (field, DEVICE)
 
 
 class AsciiCommand:
@@ -143,13 +150,14 @@ class AsciiCommand:
     def __init__(self, protocol: Protocol, action: str, step: Step) -> None:
         self.action = action
         self.each_axis = step.each_axis
+        self._axes = tuple(range(len(protocol.gimbals)))
         self.send = MessageTemplate(protocol, step.send)
         self.reply = MessageTemplate(protocol, protocol.replies[step.reply]) if step.reply else None
 
     @property
     def axes(self) -> tuple[int, ...]:
         """The axes for which it is sent."""
-        return (0, 1, 2) if self.each_axis else (DEVICE,)
+        return self._axes if self.each_axis else (DEVICE,)
 
 
 class AsciiProtocol:
@@ -169,7 +177,7 @@ class AsciiProtocol:
         self._errors = numbers("errors.names", protocol.error_names)
         self._faults = numbers("faults.names", protocol.faults.names)
         self.set_reports_all = {
-            (name, axis) for name in ("position", "status") for axis in GIMBAL_NAMES
+            (name, axis) for name in ("position", "status") for axis in protocol.gimbals
         } <= protocol.gives("set")
 
     def request(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
@@ -239,11 +247,3 @@ class AsciiProtocol:
             return FaultKind.OTHER
         is_off = bool(number & faults.torque_off) if faults.kind == "flags" else number == faults.torque_off
         return FaultKind.TORQUE_OFF if is_off else FaultKind.OTHER
-
-
-def _key(name: str, axis: int) -> Key:
-    """Return the key of a field of a template."""
-    field, _, of = name.partition(".")
-    if of:
-        return field, GIMBAL_NAMES.index(of)
-    return (field, axis) if field in OF_AXIS else (field, DEVICE)

@@ -293,6 +293,8 @@ class DriveSetup(DriveObjects):
         """Return the error of a drive that is not enabled in time."""
         state = self._state()
         title = state.title if state else "an undefined state"
+        if state is DriveState.FAULT:
+            title += f" again after each reset, {codec.fault_text(self.fault_code())}"
         return LinkTimeout(self.axis, f"not enabled within {timeout_s:g} s (cia402.enable_timeout_s), is in {title}")
 
     def _moves(self, standstill_radps: float) -> bool:

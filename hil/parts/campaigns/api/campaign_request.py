@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from hil.api.jobs import BackendArguments, Settings, job_of
 from hil.checks.go_level import go_warnings
+from hil.checks.unseen import unseen_warnings
 from hil.config.scenario import Scenario
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, Problem
@@ -102,7 +103,8 @@ class CampaignRequest:
         sweep = Sweep.parse(self.sweep) if isinstance(self.sweep, str) else self.sweep
         jobs = self._jobs(sweep)
         for job in jobs:
-            for line in go_warnings(job.scenario.value, job.rig):
+            scenario = job.scenario.value
+            for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig)):
                 warn(line)
         study = self._study(jobs[0])
         with ExitStack() as held:

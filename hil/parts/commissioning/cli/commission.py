@@ -82,7 +82,7 @@ def commission(
     rig
         emulated, or the path of a rig file.
     axis
-        rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
+        rails.x, turntable.yaw ...; may be given more than once. By default all that have a drive, one after the other.
     limits
         Also approach both ends of each axis' travel.
     yes
@@ -124,8 +124,8 @@ def commission(
     compile_kernels_with_notice(job, console)
     prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if yes else Terminal(Console())
     earlier = signed_before(loaded_rig.value)
-    chosen = chosen_axes(axis)
-    others = [k for k, name in enumerate(BENCH_AXES) if name in earlier]
+    chosen = chosen_axes(axis, loaded_rig)
+    others = [k for k, name in enumerate(BENCH_AXES) if name in {*earlier, *loaded_rig.value.undriven}]
     key = None if sign_off.operator_key is None else read_key(sign_off.operator_key)
     who: OperatorKey | str = key or sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
     if loaded_rig.value.kind == "hardware" and not prompt.ask(

@@ -40,7 +40,7 @@ def identify(
     rig
         mock, emulated, or the path of a rig file.
     axis
-        rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
+        rails.x, turntable.yaw ...; may be given more than once. By default all that have a drive, one after the other.
     out
         Rig file (*.toml) to write: it extends this rig by the leads that compensate the delays.
     json
@@ -64,6 +64,7 @@ def identify(
         raise BadInput.single(
             "--yes", "", f"{loaded_rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
         )
+    chosen = chosen_axes(axis, loaded_rig)
     job = build.Job(loaded, loaded_rig, 0, loaded.value.step_s, speed)
     build.check_rig(job)
     console = Console(stderr=True)
@@ -74,7 +75,7 @@ def identify(
         build.runner(job, lambda *_: None, lambda text: say(text, console, "dim")) as runner,
         runner.axes_only() as sequencer,
     ):
-        results = Identification(sequencer, bar.show).measure(chosen_axes(axis))
+        results = Identification(sequencer, bar.show).measure(chosen)
     write_json(as_json(results, rig, loaded.value.step_s), json)
     if out is not None:
         write_text(as_toml(results, rig, out, settings), out)

@@ -1,0 +1,102 @@
+"""Benches with fewer axes than six, or with rails that are not parallel to H: runs from their rig files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil
+from hil.cli.main import execute
+from hil.session import build
+from tests.support.lab_benches import BENCHES, rig_file
+from tests.support.rows import assert_same_bits
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.xdist_group("campaign")
+
+LOCK_STEP = {"rig.host.time": "lock_step"}
+SIX = ("turned rails", "target on one axis")
+"""Benches that show everything."""
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_bench_gives_a_verdict(bench: str, tmp_path: Path) -> None:
+    run = hil.run("scheme-1", rig_file(tmp_path, bench), 1, 20.0)
+    assert run.stop == "completed"
+    unseen = run.summary["bench"]["unseen_m"]
+    assert (unseen is None) == (bench in SIX)
+
+
+def test_turned_rails_show_what_parallel_ones_show(tmp_path: Path) -> None:
+    turned = hil.run("scheme-1", rig_file(tmp_path, "turned rails"), 1, 60.0)
+    parallel = hil.run("scheme-1", "mock", 1, 60.0, {"rig.bench.bodies": []})
+    np.testing.assert_allclose(turned.history["truth"]["r_CT_H"], parallel.history["truth"]["r_CT_H"], atol=0.02)
+    assert turned.summary["bench"]["pose_error_mm"]["rms"] < 1.5 * parallel.summary["bench"]["pose_error_mm"]["rms"]
+
+
+def test_motion_that_is_not_shown_is_reported_before_the_run_and_in_the_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    execute(["run", "scheme-1", "--rig", rig_file(tmp_path, "two rails"), "--duration", "10"])
+    shown = capsys.readouterr()
+    before, verdict = " ".join(shown.err.split()), " ".join(shown.out.split())
+    assert "lab has no drive for rails.z: of the plan it does not show up to x y z 0.000 0.000" in before
+    assert "not shown: up to x y z 0.000 0.000" in verdict
+    largest = float(verdict.partition("not shown: up to x y z ")[2].split()[2])
+    assert 0.25 < largest < 0.4  # the start is 0.3 m from the plane
+
+
+def test_planar_scenario_is_flown_in_the_plane() -> None:
+    run = hil.run("planar", "mock-planar", 1)
+    assert run.accepted
+    truth = run.history["truth"]
+    assert not truth["r_CT_H"][:, 1].any()
+    assert not truth["q_CH"][:, [0, 2]].any()
+    assert np.abs(run.summary["bench"]["unseen_m"]).max() < 1e-12
+    assert np.abs(run.summary["bench"]["unseen_deg"]).max() < 1e-9
+    command = run.history["command"]
+    assert not command["force"][:, 1].any()
+    assert not command["torque"][:, [0, 2]].any()
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("initial.position_m=[5.0, 0.1, 0.0]", "initial.position_m: leaves the x-z plane of H"),
+        ("initial.attitude_deg=[1.0, 0.0, 0.0]", "initial.attitude_deg: leaves the x-z plane of H"),
+        ("gnc.guidance.ready_point_m=[0.4, 0.1, 0.0]", "gnc.guidance.ready_point_m: leaves the x-z plane"),
+    ],
+)
+def test_planar_vehicle_stays_in_the_plane(setting: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["run", "planar", "--rig", "mock-planar", "--set", setting]) == 2
+    assert text in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("scenario", "bench"), [("planar", "plane"), ("scheme-1", "three rails and yaw"), ("scheme-1", "table of one axis")]
+)
+def test_compiled_loop_has_the_bits_of_the_python_cycle(scenario: str, bench: str, tmp_path: Path) -> None:
+    job, rows = make_job(3.0, scenario=scenario, rig=rig_file(tmp_path, bench)), []
+    for compiled in (True, False):
+        with build.runner(replace(job, compiled=compiled)) as runner:
+            rows.append(runner.run().history)
+    assert_same_bits(*rows)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "bench"),
+    [("planar", "plane"), ("scheme-1", "table of one axis"), ("scheme-1", "target on one axis")],
+)
+def test_bench_runs_in_lock_step(scenario: str, bench: str, tmp_path: Path) -> None:
+    run = hil.run(scenario, rig_file(tmp_path, bench, "emulated"), 1, 1.0, LOCK_STEP)
+    assert run.stop == "completed"
+    assert len(run.history) == 51
+
+
+def test_planar_recording_is_replayed_to_the_bit(tmp_path: Path) -> None:
+    hil.run("planar", "mock-planar", 1, 10.0, record=tmp_path)
+    (recording,) = tmp_path.glob("*.mcap")
+    assert execute(["replay", str(recording)]) == 0
