@@ -20,7 +20,7 @@ from hil.core.sensor_records import SENSOR_ESTIMATE
 from hil.errors import Problem
 from hil.maths import euler
 from hil.params.sensors import sensors_of, settings_row
-from hil.sensors.check import Trial
+from hil.sensors.trial import Trial
 
 _TIME_S: Final = 100.0
 _PERIOD_S: Final = 1.0

@@ -53,7 +53,7 @@ def note_calls(write: Callable[[str], None]) -> None:
 
 def call(device: str, method: Callable[..., T], *arguments: Any) -> T:
     """Return what ``method`` returns. Raises PlugInError for what it raises other than a BenchError."""
-    owner: type[object] = type(getattr(method, "__self__", None))
+    owner: Any = type(getattr(method, "__self__", None))
     calls = _calls if _calls and is_plug_in(owner) else ()
     for each in calls:
         each.note(f"{device} {method_text(method)}")

@@ -169,8 +169,10 @@ class WiredBench:
 
     def _assembled(self, parts: SessionParts, rate: Rate) -> Runner:
         scenario = self.job.scenario.value
-        sources = [*open_datagrams(scenario, self.clock), *line_sensors(scenario, self.rig, self.clock)]
-        parts.sample_sources[:0] = sources
+        parts.sample_sources[:0] = [
+            *open_datagrams(scenario, self.clock),
+            *line_sensors(scenario, self.rig, self.clock),
+        ]
         return assemble(self.job, self.rig, rate, self.devices, parts)
 
 
