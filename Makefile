@@ -9,6 +9,7 @@
 # make accessibility checks the console's page with axe-core, which npm installs by its digest
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
+# make release builds what a release has: sdist, both wheels, documentation, hashes; see RELEASING.md
 # make tidy   formats the sources
 
 PYTHON ?= python3
@@ -39,7 +40,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTE
 PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
 	-p hil.parts.campaigns.pytest_plugin.plugin
 
-.PHONY: demo test slow tests-of oracle bench numbers lateness accessibility docs docs-links wheel tidy
+.PHONY: demo test slow tests-of oracle bench numbers lateness accessibility docs docs-links wheel release tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -91,6 +92,11 @@ wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
 	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+
+release: docs wheel
+	$(BIN)/python -m hatchling build --directory dist
+	tar -C build -czf dist/hil-bench-docs.tar.gz docs
+	cd dist && rm -f SHA256SUMS && sha256sum * > SHA256SUMS
 
 tidy: .venv/ready
 	$(BIN)/ruff format .

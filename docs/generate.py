@@ -84,7 +84,7 @@ def scenario_keys() -> str:
     intro = """# Scenario keys
 
 A scenario is a TOML file; keys that it omits are taken from the scenario named by `extends` (a shipped name, or a path
-relative to the file). `configs/scenarios/scheme-1.toml` sets every key. Frames: [Frames and
+relative to the file). `hil keys [PATTERN]` lists them. Frames: [Frames and
 signs](../../explanation/frames.md).
 
 `[dispersions]` repeats the tables of the scenario; each of their decimal numbers may have a distribution:

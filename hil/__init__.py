@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hil.api.recordings import Recording, Replay
     from hil.api.recordings import open_recording as open
     from hil.api.results import RecordGroup, Run
+    from hil.api.run_comparison import RunComparison
     from hil.api.runs import run
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
@@ -54,6 +55,7 @@ __all__ = [
     "Replay",
     "Rig",
     "Run",
+    "RunComparison",
     "RunRequirement",
     "Scenario",
     "SensorError",
@@ -89,6 +91,7 @@ _MODULES = {
     "Replay": "hil.api.recordings",
     "Rig": "hil.config.rig",
     "Run": "hil.api.results",
+    "RunComparison": "hil.api.run_comparison",
     "RunRequirement": "hil.parts.campaigns.api.requirements",
     "Scenario": "hil.config.scenario",
     "SensorError": "hil.sensors.module",
@@ -125,4 +128,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*(name for name in globals() if name.startswith("__")), *__all__})

@@ -8,7 +8,8 @@
         │   ├── LinkLost        the link is lost (closed port, reset connection)
         │   ├── LinkTimeout     nothing, or nothing new, received in time
         │   ├── ProtocolError   received bytes violate the protocol
-        │   └── DriveFault      the device itself reports a fault
+        │   ├── DriveFault      the device itself reports a fault
+        │   └── PlugInError     code of a user's own raised an error, or returned what it may not
         └── SafetyTrip      a limit of the controller was exceeded (device, value, limit)
 
 Any other exception that reaches the command line is an internal error: exit code 4.
@@ -16,12 +17,14 @@ Any other exception that reaches the command line is an internal error: exit cod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final
 
 _LONGEST_LINE: Final = 2000
+_SIMILAR_MAX: Final = 3
 
 
 def one_line(text: str, longest: int = _LONGEST_LINE) -> str:
@@ -33,6 +36,17 @@ def one_line(text: str, longest: int = _LONGEST_LINE) -> str:
     shown = text[:longest].replace("\n", " ")
     plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
     return plain if len(text) <= longest else f"{plain}..."
+
+
+def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return ``did you mean A or B? `` of the ``known`` names that begin as ``name``, else of the nearest, or "".
+
+    cutoff: least similarity of the nearest one.
+    """
+    names = list(known)
+    close = [each for each in names if name and each.startswith(name)][:_SIMILAR_MAX]
+    close = close or difflib.get_close_matches(name, names, n=1, cutoff=cutoff)
+    return f"did you mean {' or '.join(close)}? " if close else ""
 
 
 class HilError(Exception):
@@ -91,6 +105,10 @@ class LinkTimeout(DeviceError):
 
 class ProtocolError(DeviceError):
     """The device sent bytes that violate its protocol."""
+
+
+class PlugInError(DeviceError):
+    """Code of a user's own raised an error, or returned what it may not."""
 
 
 class FaultKind(Enum):

@@ -2,7 +2,7 @@
 
     python sims/stated_numbers.py [TEXT] [--all | --write]
 
-Runs the command of each row that contains TEXT with a tenth of its cases and prints each number with its interval; exit
+Runs each command that contains TEXT with a tenth of its cases and prints each number with its interval; exit
 code 1 if one is outside. --all: with all cases. --write: with all, and enter what was measured in table and pages.
 
 A row has the ``command``, with ``{cases}`` in place of their number if they can be fewer; ``pages`` with the phrases in
@@ -184,7 +184,7 @@ def main() -> int:
         parser.add_argument(option, action="store_true")
     given = parser.parse_args()
     outside = total = 0
-    for row in (each for each in rows() if given.text in str(each)):
+    for row in (each for each in rows() if given.text in each["command"]):
         cases, found = measure(row, given.all or given.write)
         print(row["command"].replace("{cases}", str(cases)))
         for name, (value, _) in found.items():

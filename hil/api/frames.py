@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.fields import leaf_fields
 from hil.core.messages import CYCLE_FIELDS, Array
 from hil.errors import BadInput
-from hil.recording.schema import flat_dtype
+from hil.recording.schema import columns, flat_dtype
 
 _AXES: Final = ("x", "y", "z")
 _QUATERNION: Final = ("q1", "q2", "q3", "q0")
@@ -27,21 +27,13 @@ def library(name: str) -> Any:
 
 
 def columns_of(records: np.ndarray) -> dict[str, Array]:
-    """Return each number of ``records`` (n,) by its name: ``truth.r_CT_H.x``, components of quaternions q1 q2 q3 q0."""
-    columns = {}
-    for name, values in _leaves(records).items():
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        flat = values.reshape(len(values), -1)
-        parts = _components(name, values.shape[1:])
-        columns |= {f"{name}.{part}": np.ascontiguousarray(flat[:, i]) for i, part in enumerate(parts)}
-    return columns
+    """Return each number of ``records`` (n,) but the time by its name, ``truth.r_CT_H[0]``, as in ``hil export``."""
+    return {name: np.ascontiguousarray(values) for name, values in columns(_flat(records)) if name != "t_s"}
 
 
 def units_of(names: list[str]) -> dict[str, str]:
     """Return the unit of each column of ``columns_of`` that has one."""
-    fields = ((name, _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0])) for name in names)
+    fields = ((name, _UNITS.get(name.partition("[")[0])) for name in names)
     return {name: field.unit for name, field in fields if field is not None and field.unit not in ("", "1")}
 
 
@@ -77,16 +69,12 @@ def to_xarray(records: np.ndarray, t_s: Array) -> Any:
 
 def _leaves(records: np.ndarray) -> dict[str, Array]:
     """Return the plain fields of ``records`` with dotted names, without the time, which is the index."""
-    flat = np.ascontiguousarray(records).view(flat_dtype(records.dtype))
+    flat = _flat(records)
     return {name: np.ascontiguousarray(flat[name]) for name in flat.dtype.names or () if name != "t_s"}
 
 
-def _components(name: str, shape: tuple[int, ...]) -> list[str]:
-    if shape == (3,):
-        return list(_AXES)
-    if shape == (4,) and name.rpartition(".")[2].startswith("q_"):
-        return list(_QUATERNION)
-    return [".".join(map(str, index)) for index in np.ndindex(*shape)]
+def _flat(records: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(records).view(flat_dtype(records.dtype))
 
 
 def _dimension(name: str, size: int, axis: int) -> str:

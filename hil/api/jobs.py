@@ -19,9 +19,11 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.model import ConfigModel
 from hil.core.files import parse_toml
+from hil.core.public import public
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS
+from hil.gnc_backends.kernel_backend import KernelBackend
 from hil.gnc_backends.library import key_of
 from hil.gnc_backends.python_backend import PythonGnc, class_name
 from hil.session.assembly import Job
@@ -45,6 +47,7 @@ IN_LOCK_STEP: tuple[str, ...] = ('rig.host.time="lock_step"',)
 _ARGUMENTS = {"set": "overrides", "duration": "duration_s"}  # options of other names
 
 
+@public
 def load_scenario(name: str | Path | Scenario, overrides: Overrides | None = None) -> Scenario:
     """Return a checked scenario.
 
@@ -56,6 +59,7 @@ def load_scenario(name: str | Path | Scenario, overrides: Overrides | None = Non
         return loaded_scenario(name, settings_of(overrides)).value
 
 
+@public
 def load_rig(name: str | Path | Rig, overrides: Overrides | None = None) -> Rig:
     """Return a checked rig.
 
@@ -124,6 +128,10 @@ def own_backends(navigation: Any = None, control: Any = None) -> tuple[Settings,
     """Return the settings that name backends, and the backends that are Python objects."""
     given = dict(zip(PARTS, (navigation, control), strict=True))
     names = {part: os.fspath(each) for part, each in given.items() if isinstance(each, str | os.PathLike)}
+    for part, each in given.items():
+        known = part in names or each is None or isinstance(each, KernelBackend)
+        if not (known or callable(getattr(each, "step", None))):
+            raise BadInput.single(part, "", f"{class_name(each)}: must be a class or an object with a method step(inp)")
     own = OwnBackends(**{part: each for part, each in given.items() if part not in names})
     return [f"gnc.{part}.backend={_toml(name, part)}" for part, name in names.items()], own
 
@@ -138,12 +146,6 @@ def with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
     given = parse_toml(f"faults = {_toml(list(faults), 'faults')}")["faults"]
     table["faults"] = [*table["faults"], *given]
     return load.check_table(table, Scenario, scenario.source, {**scenario.origin, "faults": "faults"})
-
-
-def check_count(name: str, value: int | None, least: int) -> None:
-    """Raise BadInput unless the argument ``name`` is None or an integer, at least ``least``."""
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-        raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
 
 
 def make_job(

@@ -18,6 +18,7 @@ from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
 from hil.core.messages import Event, new
 from hil.core.own_code import trusting
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
@@ -34,6 +35,7 @@ from hil.session.assembly import make_backend
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 
 
+@public
 def open_recording(path: str | Path, trust_code: bool = False) -> Recording:
     """Return the run recorded at ``path`` (``*.mcap`` of ``hil run --record``).
 
@@ -75,6 +77,7 @@ class Recording(Run):
         """Whether the file has its end and no damage."""
         return self.recorded.intact
 
+    @public
     def replay(
         self,
         overrides: Overrides | None = None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -18,11 +18,13 @@ from hil.core.alarms import Alarm
 from hil.core.clock import utc_ns
 from hil.core.fields import record_dtype
 from hil.core.files import write_text
-from hil.core.messages import ARRIVAL, CYCLE, Array, Event
+from hil.core.messages import ARRIVAL, CYCLE, Array, Event, with_thrusters
 from hil.core.part import imported, part_sinks, provided
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.outcome import Outcome
+from hil.report.consistency import Nees, nees_of
 from hil.report.limits import why_of
 from hil.report.results import RunResults
 from hil.report.summary import limits_of
@@ -129,15 +131,15 @@ class Run:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all records, one row per cycle, indexed by time, s. Raises BadInput without pandas."""
-        return frames.to_pandas(self.history, self.t_s)
+        return frames.to_pandas(self._fitted, self.t_s)
 
     def to_polars(self) -> Any:
         """Return a polars DataFrame of all records, one row per cycle. Raises BadInput without polars."""
-        return frames.to_polars(self.history, self.t_s)
+        return frames.to_polars(self._fitted, self.t_s)
 
     def to_xarray(self) -> Any:
         """Return a Dataset of all records: time as index, axes by name, units. Raises BadInput without xarray."""
-        return frames.to_xarray(self.history, self.t_s)
+        return frames.to_xarray(self._fitted, self.t_s)
 
     def why(self) -> dict[str, Any]:
         """Return the first violated limit as ``text``, ``alarms_before`` it, and all ``limits`` by their margins."""
@@ -215,6 +217,7 @@ class Run:
         """Results of the docking monitor, one row per portion; empty without one."""
         return self.rows_of("portions")
 
+    @public
     def rows_of(self, name: str) -> RecordGroup:
         """Return the rows that a part has added, by the name of their sink; empty if the run has none of them.
 
@@ -227,23 +230,52 @@ class Run:
         rows = self._of_parts.get(name, np.zeros(0, record_dtype(imported(sink.fields))))
         return RecordGroup(rows, rows["t_s"])
 
-    def plot(self) -> Figure:
-        """Return a figure of the truth against the ready state (bench paper figures 6 and 7). Raises BadInput."""
-        from hil.report.figures import motion  # slow import
+    @public
+    def plot(self, name: Literal["ready", "trajectory", "attitude", "nees", "thrusters"] = "ready") -> Figure:
+        """Return a figure of matplotlib. Raises BadInput.
+
+        - ``ready``: the truth against the ready state (bench paper figures 6 and 7).
+        - ``trajectory``: path, position and velocity in H.
+        - ``attitude``: angles, and error of the estimate with 3 sigma.
+        - ``nees``: NEES of both filters at each pose, with its bounds.
+        - ``thrusters``: openings of each thruster.
+        """
+        from hil.report.plots import PLOTS  # slow import
 
         self._require_cycles()
-        return motion(self.history, self.scenario, self.verdict)
+        return PLOTS[name](self.history, self.scenario, self.verdict)
 
+    @public
+    def nees(self, probability: float = 0.95) -> Nees:
+        """Return the NEES of both filters at each pose, with its bounds. Raises BadInput.
+
+        probability: with which a single value of a consistent filter is within the bounds.
+        """
+        if not 0.0 < probability < 1.0:
+            raise BadInput.single("probability", "", f"{probability:g}: must be above 0 and below 1")
+        return nees_of(self.history, probability)
+
+    @public
     def report(self, path: str | Path) -> None:
         """Write a self-contained HTML page with verdict, figures and numbers to ``path``. Raises BadInput."""
         write_report([self], path)
 
+    @public
     def to_parquet(self, path: str | Path) -> None:
         """Write all cycles to ``path``, one column per number (``truth.r_CT_H[0]``). Raises BadInput."""
-        provided("table of cycles")(self.history, Path(path))
+        provided("table of cycles")(self.history, self._thrusters, Path(path))
+
+    @property
+    def _thrusters(self) -> int:
+        return len(self.scenario.chaser.thrusters.position_m)
+
+    @property
+    def _fitted(self) -> np.ndarray:
+        """All records, of the thrusters only those that the vehicle has."""
+        return with_thrusters(self.history, self._thrusters)
 
     def _group(self, name: str) -> RecordGroup:
-        return RecordGroup(self.history[name], self.t_s)
+        return RecordGroup(self._fitted[name], self.t_s)
 
     def _source(self) -> str:
         return str(self)

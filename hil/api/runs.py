@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Unpack
 
-import numpy as np
-
 from hil.api.jobs import (
     BackendArguments,
     Faults,
@@ -22,11 +20,13 @@ from hil.api.jobs import (
 )
 from hil.api.results import Run, run_of
 from hil.checks.go_level import go_warnings
+from hil.checks.observability import observed_by
 from hil.checks.unseen import unseen_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
 from hil.core.part import provided
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
@@ -54,6 +54,7 @@ class RunArguments(BackendArguments, total=False):
     dispersions: str | Path | None
 
 
+@public
 def run(
     scenario: str | Path | Scenario,
     rig: str | Path | Rig = "mock",
@@ -128,8 +129,6 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
-        raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
     chosen, more, note = provided("case")(job, int(case), folder)
     if note:
         log.warning(note)
@@ -182,7 +181,7 @@ def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
     scenario, rig = job.scenario.value, job.rig.value
-    for line in (*unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
+    for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
         request.announce(line)
     with ExitStack() as stack:
         recorder = None

@@ -86,9 +86,8 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         if oldest_s > value.gnc.navigation.memory_s:
             memory_s = value.gnc.navigation.memory_s
             problem(f"{name}.latency_s", f"{config.latency_s:g}: the filters remember {memory_s:g} s, two cycles more")
-        in_simulated_time = rig.value.kind == "mock" or rig.value.host.time == "lock_step"
-        if config.source == "udp" and in_simulated_time:
-            problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
+        if config.source == "udp" and rig.value.host.time == "lock_step" and sensor.module.sees != "bench":
+            problem(f"{name}.source", '"udp": in lock-step only of what sees the bench, this sensor sees the truth')
         if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
             if sensor.module.wire is None:
                 problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')

@@ -213,6 +213,8 @@ class _Findings:
 
     def view(self) -> None:
         """Add one problem if an LED leaves an image."""
+        if not self._rig.has_vmu:
+            return
         camera, leds = vmu_params.camera(self._rig)
         asked, mounting = self._asked, vmu_params.mounting(self._rig)
         # of the relative pose, whichever axes show it

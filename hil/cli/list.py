@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from typing import Final
 
 from hil.cli.options import File
 from hil.cli.output import print_columns, write_json
 from hil.core.part import parts
-from hil.errors import BadInput
+from hil.errors import BadInput, did_you_mean
 
 _FILES: Final = ("scenarios", "rigs", "dispersions", "targets", "bodies", "frames", "protocols")
 
@@ -31,9 +30,7 @@ def list(kind: str | None = None, /, *, json: File = None) -> int:
     if kind == "parts":
         return _list_parts(json)
     if kind is not None and kind not in kinds:
-        close = difflib.get_close_matches(kind, kinds, n=1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise BadInput.single("hil list", "", f"{kind}: {hint}give one of {', '.join(kinds)}")
+        raise BadInput.single("hil list", "", f"{kind}: {did_you_mean(kind, kinds)}give one of {', '.join(kinds)}")
     listed = {name: entries() for name, entries in kinds.items() if kind in (None, name)}
     write_json(dict(listed), json)
     if json != "-":

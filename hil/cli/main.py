@@ -6,20 +6,23 @@ Each command is declared by its part, see ``hil.core.part``; its module is impor
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from types import FrameType
 from typing import Any, Final, TextIO, cast
 
 import cyclopts
-from cyclopts import App
+from cyclopts import App, Group
 
+from hil.cli import verbosity
 from hil.cli.options import declared_problems, refuse
-from hil.core.build_info import VERSION
+from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
@@ -29,6 +32,8 @@ from hil.errors import BadInput, BenchError, CampaignStopped
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
+_DELIVERED: Final = (PASSED, FAILED, INCOMPLETE)
+"""Codes by which a reader of the exit code alone would take the results as delivered."""
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
 
@@ -40,20 +45,49 @@ _EXTRAS: Final = {
 }  # fmt: skip
 """Package that only some commands need -> the extra that installs it."""
 
+_GROUPS: Final = {
+    "Start": ("run", "init", "list", "keys", "preflight", "warm-up"),
+    "Look at a run": ("report", "explain", "replay", "export", "recordings", "recover"),
+    "Many runs": ("campaign", "margins", "benchmark", "fusion", "ci"),
+    "Vehicle, sensors and GNC of your own": ("vehicle", "sensors", "gnc", "dss", "fmu-export"),
+    "Work at the bench": ("console", "operators", "emulate", "identify", "commission"),
+    "Images": ("vmu", "monitor", "cameras", "calibrate", "targets"),
+}
+"""Title -> commands, in the order of a user's day; others are of parts of other packages."""
+_OF_PARTS: Final = Group("Of installed parts", sort_key=len(_GROUPS))
+_MADE: Final = [Group(title, sort_key=i) for i, title in enumerate(_GROUPS)]
+_GROUP_OF: Final = {name: group for group, names in zip(_MADE, _GROUPS.values(), strict=True) for name in names}
+
 app = App(
     name="hil",
+    group_commands=Group("Help and completion", sort_key=len(_GROUPS) + 1),
     help="Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.",
-    version=VERSION,
+    help_epilogue=verbosity.HELP,
+    version=version_text,
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
-for _name, _command in COMMANDS.items():
-    app.command(_command.path, name=_name, help=_command.summary)
+for _order, _name in enumerate(sorted(COMMANDS, key=lambda name: [*_GROUP_OF, name].index(name))):
+    _command = COMMANDS[_name]
+    app.command(
+        _command.path,
+        name=_name,
+        help="\n\n".join(filter(None, (_command.summary, _command.example and f"Example: {_command.example}"))),
+        group=_GROUP_OF.get(_name, _OF_PARTS),
+        sort_key=_order,
+    )
 app.register_install_completion_command(name="--install-completion", help="Install completion for this shell.")
+
+
+@app.command(name="--show-completion", help='Print the completion for this shell, for eval "$(hil --show-completion)".')
+def _show_completion() -> None:
+    print(app.generate_completion())  # noqa: T201
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     gc.set_threshold(_GARBAGE_THRESHOLD)
+    with suppress(AttributeError, OSError, ValueError):  # a stream that was closed from the start
+        faulthandler.enable()  # a library of the user's that crashes is named by the stack
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     for number in STOP_SIGNALS:
         signal.signal(number, _as_ctrl_c)
@@ -65,11 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settle_matplotlib()
     code = execute(sys.argv[1:] if arguments is None else arguments)
     out.flush()
-    if out.problem and code in (
-        PASSED,
-        FAILED,
-        INCOMPLETE,
-    ):  # a reader of the exit code alone would take the results as delivered
+    if out.reader_left:  # as for a program that SIGPIPE ends: ``hil ... | head``
+        code = 128 + signal.SIGPIPE if code in _DELIVERED else code
+    elif out.problem and code in _DELIVERED:
         code = _fail(f"standard output: cannot be written: {out.problem}", BAD_INPUT)
     err.flush()
     # everything is closed; the interpreter's own exit takes longer than stopping the bench
@@ -79,12 +111,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 class _Output:
     """Stream whose reader may be gone: what cannot be written is dropped, and the run continues.
 
-    problem: the first reason, "" if there is none. A stream that was closed from the start takes everything.
+    problem: the first reason, "" if there is none; reader_left: it is a pipe without a reader. A stream that was closed
+    from the start takes everything.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream if stream is not None else open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-        self.problem = ""
+        self.problem, self.reader_left = "", False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -112,6 +145,7 @@ class _Output:
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
+        self.reader_left = self.reader_left or isinstance(error, BrokenPipeError)
         self.problem = self.problem or error.strerror or str(error)
         self._stream = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
@@ -122,6 +156,17 @@ def execute(arguments: Sequence[str]) -> int:
     # before numpy: matrices are small here, and idle BLAS threads take the time of the others
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     take_incomplete()
+    try:
+        rest, chosen = verbosity.taken(arguments)
+        with verbosity.applied(chosen, arguments):
+            return _execute(rest)
+    except BadInput as error:
+        return _fail(str(error), BAD_INPUT)
+    except OSError as error:  # of the log file
+        return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
+
+
+def _execute(arguments: Sequence[str]) -> int:
     try:
         command, given, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         if command.__module__.startswith("hil."):

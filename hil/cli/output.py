@@ -7,8 +7,9 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -24,6 +25,15 @@ if TYPE_CHECKING:
 _WIDEST = 1000  # characters of a table
 _REASONS = 3
 _FIGURES = (".png", ".pdf", ".svg")
+
+
+QUIET: Final[ContextVar[bool]] = ContextVar("quiet", default=False)
+"""Whether a command prints results and errors alone."""
+
+
+def notices() -> Console:
+    """Return the console of progress and notices: standard error, nothing if the command is to be quiet."""
+    return Console(stderr=True, quiet=QUIET.get())
 
 
 def file_path_problem(path: str) -> str:

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hil.cli.options import File, Flag, Settings
-from hil.cli.output import write_json
+from hil.cli.output import notices, write_json
 
 _PASSED, _FAILED = 0, 1
 _WORDS = {True: "[green]pass[/]", False: "[bold red]fail[/]", None: "note"}
@@ -55,7 +55,7 @@ def preflight(
 
     who = local_user() if operator_key is None else read_key(operator_key)
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
-    progress = Console(stderr=True)
+    progress = notices()
     with progress.status("") as status:
         report = run.preflight(loaded, loaded_rig, Path.cwd(), devices, lambda text: status.update(f"{text} ..."))
     if loaded_rig.value.kind == "hardware":

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hil.cli.options import File, Flag, Group, OptionalCase, RunOptions, refuse, refuse_wires_in_use
-from hil.cli.output import say, write_json
+from hil.cli.output import notices, say, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.part import provided
 from hil.errors import BadInput, Problem
@@ -52,7 +52,19 @@ class StoredCaseOptions:
         return problems
 
 
-_NO_CASE = StoredCaseOptions()
+@dataclass(frozen=True)
+class OutputOptions:
+    """What a run prints and leaves."""
+
+    record: str | None = None
+    """Folder for the recording and its catalogue; see hil recordings list."""
+    explain: Flag = False
+    """Print what each line of the verdict means."""
+    json: File = None
+    """File for the numbers of the run, - for standard output."""
+
+
+_NO_CASE, _NOT_KEPT = StoredCaseOptions(), OutputOptions()
 
 
 def run(
@@ -64,8 +76,7 @@ def run(
     options: Group[RunOptions] = _DEFAULTS,
     until_stopped: Flag = False,
     of_case: Group[StoredCaseOptions] = _NO_CASE,
-    record: str | None = None,
-    json: File = None,
+    output: Group[OutputOptions] = _NOT_KEPT,
 ) -> int:
     """Run one closed loop and print its verdict.
 
@@ -80,10 +91,6 @@ def run(
         run, whatever the load of the computer.
     until_stopped
         Run until Ctrl-C, which ends the run normally; memory does not grow.
-    record
-        Folder for the recording and its catalogue; see hil recordings list.
-    json
-        File for the numbers of the run, - for standard output.
     """
     problems = of_case.problems(options)
     if until_stopped and options.duration is not None:
@@ -102,7 +109,7 @@ def run(
     bench = loaded_rig(rig, (*options.settings, *(IN_LOCK_STEP if lock_step else ())))
     if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
-    console = Console(stderr=True)
+    console = notices()
     job = make_job(loaded, bench, options.seed, options.duration, options.speed)
     job = replace(job, until_stopped=until_stopped)
     more = {}
@@ -114,11 +121,14 @@ def run(
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
         finish_with_notice(compilation, console)
-    return run_and_print(RunRequest(job, rig, record, more), console, json)
+    return run_and_print(RunRequest(job, rig, output.record, more), console, output.json, output.explain)
 
 
-def run_and_print(request: RunRequest, console: Console, json: str | None) -> int:
-    """Run a checked job and print its verdict; return the exit code. json: file for its numbers, - for stdout."""
+def run_and_print(request: RunRequest, console: Console, json: str | None, explain: bool = False) -> int:
+    """Run a checked job and print its verdict; return the exit code.
+
+    json: file for its numbers, - for stdout. explain: with what each line means.
+    """
     from hil.api.runs import run_job
     from hil.report.results import RunResults
     from hil.report.section import sections_of
@@ -136,7 +146,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     if problem := summary.get("recording", {}).get("problem"):
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
-        render(RunResults.of(summary), completed.verdict, completed.scenario.requirements, Console())
+        render(RunResults.of(summary), completed.verdict, completed.scenario.requirements, Console(), explain)
         for section in sections_of(summary):
             print("\n".join(section.text()))  # noqa: T201
     if summary["faults"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import pickle
@@ -33,7 +32,7 @@ from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
 from hil.core.own_code import note_users
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput, Problem, did_you_mean
 
 Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
@@ -516,9 +515,7 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
     same_stem = [name for name in names if split(name)[0] == stem]
     if same_stem:
         return f"unknown key: the unit is part of the name, here it is {' or '.join(same_stem)}"
-    close = difflib.get_close_matches(key, names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key: {hint}known here: {', '.join(names)}{of_part}"
+    return f"unknown key: {did_you_mean(key, names)}known here: {', '.join(names)}{of_part}"
 
 
 def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:

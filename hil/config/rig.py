@@ -337,6 +337,17 @@ class VmuLine(SerialLine):
     """Pose frames: `hil`, `euler-mm` or the path of a frame file."""
 
 
+class VmuDatagrams(ConfigModel):
+    """Datagrams of a vision unit, a camera or a tracker: where they are received, and their frames."""
+
+    host: str = "127.0.0.1"
+    """Address of this computer."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """UDP port."""
+    frames: str = "hil"
+    """Pose frames, binary or of text: `hil`, `euler-mm` or the path of a frame file."""
+
+
 class SensorLine(ConfigModel):
     """Serial wire of a sensor of the scenario, `[sensors.NAME]`."""
 
@@ -746,6 +757,7 @@ class Vmu(DeviceTable):
     """Vision measurement unit."""
 
     device: ClassVar = "vmu"
+    without_wires: ClassVar = ("mock", "none")
 
     timeout_s: Positive = 0.4
     """Longest time without a new frame."""
@@ -900,6 +912,11 @@ class Rig(FileTable):
         return self
 
     @property
+    def has_vmu(self) -> bool:
+        """Whether the bench has a vision unit; without one other sensors give the navigation what it needs."""
+        return self.vmu.driver != "none"
+
+    @property
     def has_io(self) -> bool:
         """Whether the bench has a coupler of digital lines."""
         return self.io is not None and self.io.driver != "none"
@@ -1034,7 +1051,7 @@ class Rig(FileTable):
             tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
         if self.io is not None and self.has_io:
             tables["io"] = self.io
-        return {**tables, "vmu": self.vmu}
+        return tables | ({"vmu": self.vmu} if self.has_vmu else {})
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""

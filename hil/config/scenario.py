@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from typing import Annotated, Final, Literal, Self, get_args
@@ -38,6 +37,7 @@ from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, Thru
 from hil.core.gnc_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX
+from hil.errors import did_you_mean
 from hil.maths import linear
 
 DURATION_MAX_S = 1e6
@@ -777,8 +777,7 @@ class LiveTuning(ConfigModel):
         ranges = live_ranges(Scenario) if value else {}
         for key in value:
             if key not in ranges and not key.startswith(BACKEND_SETTINGS):
-                close = difflib.get_close_matches(key, ranges, n=1, cutoff=0.8)
-                hint = f"did you mean {close[0]}? " if close else ""
+                hint = did_you_mean(key, ranges, 0.8)
                 allowed = ", ".join(ranges)
                 raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
             if value.count(key) > 1:

@@ -1,4 +1,4 @@
-"""Frame files: binary pose frames of a vision unit on RS-422 (docs/reference/wire-formats.md)."""
+"""Frame files: binary or text pose frames of a vision unit (docs/reference/wire-formats.md)."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class FrameField(ConfigModel):
 
     name: FieldName
     """Meaning: the SI value, m, s or rad, is the number on the wire times `scale`."""
-    type: NumberType
-    """Type of each number."""
+    type: NumberType = "f64"
+    """Type of each number; of binary frames, which must give it."""
     scale: Positive = 1.0
     """SI value per unit of the number: 1e-6 for microseconds, 0.001 for millimetres."""
     value: Annotated[int, Field(ge=0)] | None = None
@@ -57,9 +57,15 @@ class FrameField(ConfigModel):
     def _constants_have_values(self) -> Self:
         if (self.name == "constant") != (self.value is not None):
             raise ValueError("value: needed for a constant, and for nothing else")
-        if self.name in ("counter", "leds_left", "leds_right", "status", "constant") and not self.type.startswith("u"):
+        is_whole = self.name in ("counter", "leds_left", "leds_right", "status", "constant")
+        if is_whole and self.has_type and not self.type.startswith("u"):
             raise ValueError(f'type "{self.type}": of {self.name} allowed are u8, u16, u32, u64')
         return self
+
+    @property
+    def has_type(self) -> bool:
+        """Whether the file gives the type."""
+        return "type" in self.model_fields_set
 
 
 class FrameChecksum(ConfigModel):
@@ -84,18 +90,29 @@ class FrameStatus(ConfigModel):
     """The frame has a position, and no attitude; unless set, the unit has no such frames."""
 
 
+class TextForm(ConfigModel):
+    """Frames as lines of text, a number after the other; in datagrams the end of the line may be missing."""
+
+    start: Annotated[str, Field(pattern=r"^[!-~]*$")] = ""
+    """Characters before the first number; lines that begin otherwise are skipped."""
+    separator: Annotated[str, Field(pattern=r"^[ -~]$")] = ","
+    """Character between numbers; of spaces several count as one."""
+
+
 class VmuFrame(ConfigModel):
-    """Pose frame of constant length: sync, fields, checksum.
+    """Pose frame: binary of constant length, sync, fields, checksum, or a line of text.
 
     The pose is that of the target's frame t in the left camera's frame v: ``p_v = R p_t + position``.
     """
 
     name: str
     """Name of the frame."""
-    byte_order: Literal["little", "big"]
+    text: TextForm | None = None
+    """Frames of text; unless set, they are binary."""
+    byte_order: Literal["little", "big"] = "little"
     """Byte order of all numbers and of the checksum."""
-    sync: Hexadecimal
-    """Bytes at the start, hexadecimal."""
+    sync: Hexadecimal | None = None
+    """Bytes at the start of binary frames, hexadecimal."""
     identity_sync: Hexadecimal | None = None
     """Bytes at the start of identity frames: vendor and serial number, 16 ASCII characters each, filled up with zeros,
     firmware, major and minor number in a byte each, and the checksum."""
@@ -104,6 +121,7 @@ class VmuFrame(ConfigModel):
     fields: Annotated[tuple[FrameField, ...], Field(min_length=1, max_length=64)]
     """Fields in their order."""
     checksum: FrameChecksum
+    """Of text frames `none`, or `xor8` of all before `*` and two hexadecimal digits."""
     rotation: Literal["t_to_v", "v_to_t"]
     """Rotation that quaternion or Euler angles stand for, active, by Hamilton's convention: R, or its inverse."""
     quaternion_order: Literal["xyzw", "wxyz"] = "xyzw"
@@ -115,6 +133,22 @@ class VmuFrame(ConfigModel):
     sigma_angle_deg: Positive | None = None
     """Standard deviation of the attitude, per axis, if the frame has none."""
     status: FrameStatus = FrameStatus()
+
+    @model_validator(mode="after")
+    def _form_is_whole(self) -> Self:
+        binary = {"sync", "identity_sync", "byte_order", "sync_ends_with_length"} & self.model_fields_set
+        typed = [field.name for field in self.fields if field.has_type]
+        if self.text is None:
+            if self.sync is None or "byte_order" not in binary:
+                raise ValueError("sync, byte_order: are missing, or the table text for frames of text")
+            if len(typed) < len(self.fields):
+                names = ", ".join(field.name for field in self.fields if not field.has_type)
+                raise ValueError(f"fields: {names}: type is missing")
+        elif binary or typed:
+            raise ValueError(f"{', '.join([*sorted(binary), *typed])}: not of frames of text: omit")
+        elif self.checksum.kind not in ("none", "xor8"):
+            raise ValueError(f'checksum.kind "{self.checksum.kind}": of frames of text allowed are none, xor8')
+        return self
 
     @model_validator(mode="after")
     def _frame_is_a_pose(self) -> Self:

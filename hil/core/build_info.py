@@ -22,6 +22,11 @@ class BuildInfo(NamedTuple):
     commit: str
 
 
+def version_text() -> str:
+    """Return version and commit: what ``hil --version`` prints."""
+    return f"{VERSION} ({build_info().commit})"
+
+
 @cache
 def build_info() -> BuildInfo:
     """Return the build of this program: of the wheel, or of the checkout that the package is in."""

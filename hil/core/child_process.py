@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import gc
 import json
+import logging
 import os
 import select
 import signal
@@ -20,22 +22,46 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
+from pathlib import Path
 from typing import Any, Final, Protocol, Self, cast
+from weakref import WeakValueDictionary
 
 from hil.core.fork_server import ForkedProcess, ForkServer
-from hil.core.surroundings import unnamed_file
-from hil.errors import LinkLost, LinkTimeout, ProtocolError
+from hil.core.plug_ins import kernel_error, plug_in_error, without_exit
+from hil.core.stacks import STACK_SIGNAL, Stack, place_in
+from hil.core.surroundings import host_limit, unnamed_file
+from hil.errors import DeviceError, HilError, LinkLost, LinkTimeout, PlugInError, ProtocolError, one_line
 
+log = logging.getLogger("hil")
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _EXIT_WALL_S: Final = 0.2  # allowed from the end of stdin to the end of the process
 _TERMINATE_WALL_S: Final = 0.05
 _KILL_WALL_S: Final = 1.0  # for the kernel to release the memory of a killed process
 _SERVICE_EXIT_WALL_S: Final = 0.1  # allowed for a service to return after ``stop`` is set
 _STDERR_BYTES: Final = 2000
+_STACK_BYTES: Final = 1 << 16
+_STACK_WALL_S: Final = 0.5  # for a process to write its stack, however busy the computer is
+_OOM_KILLS: Final = Path("/proc/vmstat")
+_running: WeakValueDictionary[int, ChildProcess] = WeakValueDictionary()
 
 
 Message = dict[str, Any]
 """One line of JSON, an object."""
+_RAISED: Final = "raised"
+"""Key of the last message of a child: the device and what has ended its service."""
+_FATAL: Final = "Fatal Python error"
+
+
+def child_of(pid: int) -> ChildProcess | None:
+    """Return the child of this process with the number ``pid``, None if it is none."""
+    return _running.get(pid)
+
+
+def _oom_kills() -> int:
+    """Return how many processes this computer has ended since its start because it had no memory left."""
+    with contextlib.suppress(OSError, ValueError):
+        return next(int(n) for name, n in map(str.split, _OOM_KILLS.read_text().splitlines()) if name == "oom_kill")
+    return 0
 
 
 class ChildProcess:
@@ -82,6 +108,8 @@ class ChildProcess:
         assert self._process.stdout is not None
         self._stdin, self._stdout = self._process.stdin, self._process.stdout
         self._lines = _LineReader(self._stdout.fileno())
+        self._oom_kills, self._end_text, self._logged = _oom_kills(), "", 0
+        _running[self.pid] = self
         self.send(configuration)
 
     @property
@@ -91,8 +119,8 @@ class ChildProcess:
     def wait_ready(self, timeout_s: float) -> Message:
         """Return the child's ready message, which it sends within ``timeout_s`` of wall time.
 
-        Raises LinkLost if the child has ended, LinkTimeout if it sends nothing, ProtocolError if the line is no JSON
-        object.
+        Raises LinkLost if the child has ended, DeviceError for what has ended its service, LinkTimeout if it sends
+        nothing, ProtocolError if the line is no JSON object.
         """
         if self._ready is None:
             self._ready = self._receive(timeout_s, "was not ready", "before it was ready")
@@ -108,17 +136,23 @@ class ChildProcess:
         try:
             line = self._lines.read(timeout_s)
         except TimeoutError:
-            raise LinkTimeout(self.name, f"{if_silent} within {timeout_s:g} s{self.last_stderr()}") from None
+            where = place_in(self.stack())
+            stands = f": {where}" if where else self.last_stderr()
+            raise LinkTimeout(self.name, f"{if_silent} within {timeout_s:g} s{stands}") from None
         if not line.endswith(b"\n"):
             self.wait_end(_EXIT_WALL_S)
             how = self.exit_status() or "closed its output"
-            raise LinkLost(self.name, f"{how} {if_ended}{self.last_stderr()}")
+            where = place_in(self._crash())
+            raise LinkLost(self.name, f"{how} {if_ended}{f', {where}' if where else self.last_stderr()}")
         try:
             message = json.loads(line)
         except ValueError:
             message = None
         if not isinstance(message, dict):
             raise ProtocolError(self.name, f"sent {line!r}, expected a JSON object{self.last_stderr()}")
+        if (raised := message.get(_RAISED)) is not None:
+            self.log_traceback()
+            raise PlugInError(*raised)
         return message
 
     def send(self, message: Mapping[str, Any]) -> None:
@@ -128,7 +162,7 @@ class ChildProcess:
             while rest:
                 rest = rest[os.write(self._stdin.fileno(), rest) :]
 
-    def signal(self, number: signal.Signals) -> None:
+    def signal(self, number: int) -> None:
         """Send the child a signal; without effect once it has ended."""
         self._process.send_signal(number)
 
@@ -137,7 +171,60 @@ class ChildProcess:
         code = self._process.poll()
         if code is None:
             return ""
-        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        if code >= 0:
+            return f"ended with exit code {code}"
+        no_memory = code == -signal.SIGKILL and _oom_kills() > self._oom_kills
+        return f"was ended by {signal.Signals(-code).name}" + (": the computer had no memory left" if no_memory else "")
+
+    def end_text(self) -> str:
+        """Return how the child ended and why, as one line: what it raised, or where it was; "" while it runs."""
+        if not self._end_text and (status := self.exit_status()):
+            raised, where = self._raised(), place_in(self._crash())
+            self._end_text = f"{status}{f': {raised}' if raised else f', {where}' if where else ''}"
+        return self._end_text
+
+    def _raised(self) -> str:
+        """Return what has ended the service of a child that has ended, "" if it sent nothing of it."""
+        if self._stdout.closed:
+            return ""
+        with contextlib.suppress(TimeoutError, ValueError):
+            while (line := self._lines.read(0.0)).endswith(b"\n"):
+                if raised := json.loads(line).get(_RAISED):
+                    device, what = raised
+                    return str(what) if device == self.name else f"{device}: {what}"
+        return ""
+
+    def _crash(self) -> Stack:
+        """Return the stack at a fatal signal, innermost first; [] without one."""
+        text = self._stderr_text(0)
+        return Stack(text[text.rindex(_FATAL) :], current=True) if _FATAL in text else Stack()
+
+    def stack(self) -> Stack:
+        """Return where the threads of the child are, innermost first; [] if it does not answer."""
+        if self._stderr.closed or self.exit_status():
+            return Stack()
+        start, size = os.fstat(self._stderr.fileno()).st_size, -1
+        self.signal(STACK_SIGNAL)
+        deadline_s = time.monotonic() + _STACK_WALL_S
+        while time.monotonic() < deadline_s:
+            time.sleep(0.01)
+            before, size = size, os.fstat(self._stderr.fileno()).st_size
+            if size == before > start:
+                break
+        return Stack(self._stderr_text(start))
+
+    def log_traceback(self) -> None:
+        """Write to the log the traceback that the child has written to its stderr since the last call."""
+        text = self._stderr_text(self._logged)
+        self._logged += len(text.encode())
+        if "Traceback" in text or _FATAL in text:
+            log.error("%s:\n%s", self.name, text.strip())
+
+    def _stderr_text(self, start: int) -> str:
+        if self._stderr.closed:
+            return ""
+        start = max(0, start, os.fstat(self._stderr.fileno()).st_size - _STACK_BYTES)
+        return os.pread(self._stderr.fileno(), _STACK_BYTES, start).decode(errors="replace")
 
     def wait_end(self, timeout_s: float) -> bool:
         """Wait for the child to end, ``timeout_s`` of wall time at most; return whether it has."""
@@ -171,8 +258,7 @@ class ChildProcess:
         if self._stderr.closed:
             return ""
         # pread: the child continues to write at the file position that both share
-        start = max(0, os.fstat(self._stderr.fileno()).st_size - _STDERR_BYTES)
-        text = os.pread(self._stderr.fileno(), _STDERR_BYTES, start).decode(errors="replace").strip()
+        text = self._stderr_text(os.fstat(self._stderr.fileno()).st_size - _STDERR_BYTES).strip()
         return f":\n{text}" if text else ""
 
     def __enter__(self) -> Self:
@@ -198,6 +284,8 @@ class Parent:
             signal.signal(number, signal.SIG_IGN)
         if when_orphaned is not None:
             die_with_parent(when_orphaned)
+        faulthandler.enable()
+        faulthandler.register(STACK_SIGNAL)
         self._up = os.dup(sys.stdout.fileno())
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         cast(TextIOWrapper, sys.stdout).reconfigure(line_buffering=True)  # for the report of a child that is killed
@@ -276,35 +364,72 @@ def serve(make: Callable[[Message], Service], when_orphaned: signal.Signals = si
     """Run, as the child, the service that ``make`` returns for the configuration, until stdin ends or SIGTERM.
 
     The ready message is ``{"addresses": {name: address}}``. when_orphaned: SIGTERM instead of SIGKILL lets the child
-    stop what it drives. An error of the service ends the process with a traceback.
+    stop what it drives. An error of the service, or of a thread that it has not caught, ends the process: the parent
+    receives what was raised, and the traceback goes to stderr.
     """
     parent = Parent(when_orphaned)
+    service: Service | None = None
     ended, end = os.pipe()
     signal.signal(signal.SIGTERM, lambda *_: os.write(end, b"t"))
-    service = make(parent.configuration)
+    failures: list[BaseException] = []
+
+    def fail(error: BaseException) -> None:
+        failures.append(error)
+        os.write(end, b"r")
+
+    def fail_thread(given: threading.ExceptHookArgs) -> None:
+        error = given.exc_value or given.exc_type()
+        if not getattr(service, "report_thread", lambda _: False)(error):
+            fail(error)
+
+    def fail_kernel(given: Any) -> None:
+        if (error := kernel_error(given)) is None:
+            sys.__unraisablehook__(given)
+        elif not failures:
+            fail(error)
+
+    threading.excepthook, sys.unraisablehook = fail_thread, fail_kernel
+    exits = without_exit()
+    exits.__enter__()  # as long as the process lives
     try:
+        service = make(parent.configuration)
         addresses = service.start()
         # what was imported stays: a collection that walks through all of it lasts longer than a drive's watchdog
         gc.collect()
         gc.freeze()
         parent.send(addresses=addresses)
-        _run_until(service, ended, end)
+        _run_until(service, ended, end, fail)
+        if failures:
+            raise failures[0]
+    except (Exception, SystemExit) as error:
+        if host_limit(error):
+            raise
+        with contextlib.suppress(BrokenPipeError):
+            parent.send(raised=_named(sys.argv[1], error))
+        raise SystemExit(1) from error
     finally:
-        service.close()
+        if service is not None:
+            service.close()
 
 
-def _run_until(service: Service, ended: int, end: int) -> None:
-    """Run the service in a thread until a byte comes out of ``ended`` or stdin ends; raise what it raised."""
+def _named(process: str, error: BaseException) -> list[str]:
+    """Return the device of an error, or the process, and what was raised; its traceback goes to stderr."""
+    if isinstance(error, HilError) and not isinstance(error, DeviceError):
+        return [process, one_line(str(error))]
+    named = plug_in_error(process, error)
+    return [named.device, named.what]
+
+
+def _run_until(service: Service, ended: int, end: int, fail: Callable[[BaseException], None]) -> None:
+    """Run the service in a thread until a byte comes out of ``ended`` or stdin ends; ``fail`` gets what it raises."""
     stop = threading.Event()
-    failures: list[BaseException] = []
 
     def run() -> None:
         try:
             service.run(stop)
-        except BaseException as error:
-            failures.append(error)
-        finally:
             os.write(end, b"r")
+        except BaseException as error:
+            fail(error)
 
     worker = threading.Thread(target=run, name="service", daemon=True)
     worker.start()
@@ -315,5 +440,3 @@ def _run_until(service: Service, ended: int, end: int) -> None:
             break
     stop.set()
     worker.join(_SERVICE_EXIT_WALL_S)  # one that hangs on its wire ends with the process
-    if failures:
-        raise failures[0]

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.fields import Field, record_dtype
+from hil.core.fields import Field, leaf_fields, record_dtype
 
 Array = npt.NDArray[np.float64]
 
@@ -218,6 +218,7 @@ CYCLE_FIELDS: Final = (
     ),
 )
 CYCLE = record_dtype(CYCLE_FIELDS)
+_OF_THRUSTERS: Final = {f.name.rpartition(".")[2] for f in leaf_fields(CYCLE_FIELDS) if f.shape == MAX_THRUSTERS}
 
 IMU_SAMPLE_FIELDS: Final = (
     Field("cycle", "i8", (), "1", "", "number of the cycle that uses it"),
@@ -267,6 +268,25 @@ def new(dtype: np.dtype) -> np.record:
     """Return one zeroed record of ``dtype`` that owns its memory."""
     record: np.record = np.zeros(1, dtype).view(np.recarray)[0]
     return record
+
+
+def with_thrusters(records: np.ndarray, n: int) -> np.ndarray:
+    """Return a view of ``records``, of CYCLE or a part of it, whose arrays of thrusters have ``n`` elements."""
+    return records.view(_with_thrusters(records.dtype, n))
+
+
+def _with_thrusters(dtype: np.dtype, n: int) -> np.dtype:
+    if dtype.fields is None or dtype.names is None:
+        return dtype
+    formats: list[np.dtype] = [
+        np.dtype((inner.base, (min(n, inner.shape[0]),)))
+        if inner.shape and name.rpartition(".")[2] in _OF_THRUSTERS
+        else _with_thrusters(inner, n)
+        for name, (inner, *_) in dtype.fields.items()
+    ]
+    offsets = [offset for _, offset, *_ in dtype.fields.values()]
+    names = list(dtype.names)
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": dtype.itemsize})
 
 
 def imu_samples(row: np.ndarray, n: int) -> np.ndarray:

@@ -29,10 +29,14 @@ _OURS: Final = "hil.parts.declarations:PARTS"
 
 
 class PartCommand(NamedTuple):
-    """Command of a part. path: of a function, or of an App with commands of its own. summary: of ``hil --help``."""
+    """Command of a part. path: of a function, or of an App with commands of its own. summary: of ``hil --help``.
+
+    example: a line that can be typed.
+    """
 
     path: str
     summary: str
+    example: str = ""
 
 
 class PartSink(NamedTuple):

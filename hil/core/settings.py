@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.core.gnc_records import MAX_SETTINGS
+from hil.core.public import public
 
 
+@public
 @dataclass(frozen=True, slots=True)
 class Setting:
     """A number that an extension declares: a key of the scenario, in ``unit``.

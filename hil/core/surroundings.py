@@ -33,6 +33,7 @@ from hil.errors import BadInput
 
 _SHARED: Final = ("/run/lock", "/tmp")  # folders for locks of all users: the first that can be written
 _ATTEMPTS: Final = 3
+_END: Final = os._exit
 _PLACES: Final = ("/tmp", "/var/tmp", "/dev/shm")
 _NAME: Final = re.compile(r"hil-(\d+)-(\d+)-([0-9a-f]{8})-.*")
 _KEPT_S: Final = 10 * 86_400.0  # a folder of another boot or container, whose processes cannot be seen
@@ -223,7 +224,7 @@ def leave_process(code: int) -> NoReturn:
     try:
         remove_temporary_folders()
     finally:
-        os._exit(code)
+        _END(code)
 
 
 def _places() -> Iterator[Path]:

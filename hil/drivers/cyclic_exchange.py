@@ -7,6 +7,7 @@ when a setpoint arrives, at most at the rate of the rig file, and every PERIOD_S
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -15,8 +16,10 @@ import numpy as np
 from hil.config.rig import AxisGroupTable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
+from hil.core.plug_ins import call, is_plug_in, plug_in_error
 from hil.drivers.axes import SetpointLimits
 from hil.drivers.latest import Latest
+from hil.drivers.returned import checked_feedback
 from hil.drivers.setpoint_limiter import (
     ExchangePacer,
     ProfiledMove,
@@ -121,7 +124,7 @@ class CyclicAxisGroup:
         self._jogging = self._link.jogging = False
         compile_profile()  # outside the cycle
         try:
-            feedback = self._link.open()
+            feedback = self._checked(self._link.open, call(self.name, self._link.open))
         except DeviceError as error:
             self._box.fail(error)
             raise
@@ -220,13 +223,14 @@ class CyclicAxisGroup:
             self._serve()
         except DeviceError as error:
             self._fail(error)
-        except Exception as error:  # any error that ends the thread is reported to the cycle
-            lost = LinkLost(self.name, f"link failed: {error!r}")
-            lost.__cause__ = error
-            self._fail(lost)
+        except (Exception, SystemExit) as error:  # any error that ends the thread is reported to the cycle
+            self._fail(plug_in_error(self.name, error))
         finally:
             self._stopped.set()
-            self._link.close()
+            try:
+                call(self.name, self._link.close)
+            except DeviceError as error:
+                self._box.fail(error)
 
     def _serve(self) -> None:
         triggered = False
@@ -242,14 +246,20 @@ class CyclicAxisGroup:
             if homing:
                 self._link.jogging = False
                 self._link.home()
-            feedback = self._link.exchange(*self._next_setpoint(started_s))
+            feedback = call(self.name, self._link.exchange, *self._next_setpoint(started_s))
             if feedback is not None:
-                self._update(feedback)
+                self._update(self._checked(self._link.exchange, feedback))
                 if homing:
                     self._homing_requested.clear()
             triggered = self._wait(started_s + (_SETPOINT_DUE_S if triggered else PERIOD_S))
         if not self._stopped.is_set():
             self._link.quick_stop()
+
+    def _checked(self, method: Callable[..., object], feedback: AxisFeedback) -> AxisFeedback:
+        """Return the feedback that ``method`` of the link has returned. Raises PlugInError if it is none."""
+        if not is_plug_in(type(self._link)):
+            return feedback
+        return checked_feedback(self.name, method, feedback, len(self.axis_names))
 
     def _next_setpoint(self, now_s: float) -> tuple[Array, Array]:
         """Return the position and rate due now."""

@@ -12,8 +12,11 @@ import numpy as np
 from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock, Order
 from hil.core.messages import Array, AxisFeedback, Homing
+from hil.core.plug_ins import is_plug_in
 from hil.drivers.base import AxisGroup, Describes, Jogs, LimitsSetpoints, Parks, PoseSource, Streams, full_names
 from hil.drivers.fixed_axes import FixedAxes
+from hil.drivers.returned import checked_feedback
+from hil.drivers.vmu.absent import AbsentVmu
 from hil.errors import BenchError
 
 
@@ -92,6 +95,8 @@ class SplitAxes:
         try:
             for part in self._parts:
                 feedback = part.axes.read(now_s)
+                if is_plug_in(type(part.axes)):
+                    feedback = checked_feedback(self.name, part.axes.read, feedback, len(part.numbers))
                 sampled_s = min(sampled_s, feedback.t_s)
                 position[part.numbers], rate[part.numbers] = feedback.position, feedback.rate
                 for axis, state, switch in zip(part.numbers, feedback.homing, feedback.limit, strict=True):
@@ -141,7 +146,10 @@ class SplitParkingAxes(SplitAxes):
 
 @dataclass(frozen=True)
 class RigDrivers:
-    """Drivers of a rig. axes: by the names of their devices, ``rails`` and ``turntable`` first; poses: vision unit."""
+    """Drivers of a rig. axes: by the names of their devices, ``rails`` and ``turntable`` first.
+
+    poses: vision unit, one that never sends any for a rig without.
+    """
 
     axes: dict[str, AxisGroup]
     poses: PoseSource
@@ -153,7 +161,7 @@ def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> 
     for group in axes.values():
         if period_s is not None and isinstance(group, Streams):
             group.set_period(period_s)
-    return RigDrivers(axes, rig.vmu.make_driver(clock))
+    return RigDrivers(axes, rig.vmu.make_driver(clock) if rig.has_vmu else AbsentVmu())
 
 
 def make_axes(table: AxisGroupTable, clock: BenchClock, name: str) -> AxisGroup:

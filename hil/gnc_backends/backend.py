@@ -12,10 +12,11 @@ from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
 
+from hil.core.plug_ins import raised_text
 from hil.core.settings import Setting
-from hil.errors import DeviceError, ProtocolError
+from hil.errors import DeviceError, PlugInError, ProtocolError
 from hil.gnc import backend_outputs
-from hil.gnc_backends.output_texts import fault_text, raised_text, reported_fault, step_failed, whole_text
+from hil.gnc_backends.output_texts import fault_text, reported_fault, step_failed, whole_text
 
 PARTS: Final = ("navigation", "control")
 """Parts of the GNC that a backend replaces, in the order of the rows of GNC_PARAMS.settings."""
@@ -60,6 +61,10 @@ class BackendInstance:
     def message(self) -> bytes:
         """Whole text of a failed step, of which its output may have the beginning alone; b"" for none."""
         return b""
+
+    def error_of(self, _given: np.void, _output: np.void) -> BaseException | None:
+        """Return what its failed step has raised, by its records of input and output; None if it raised nothing."""
+        return self.error
 
     def set_settings(self, values: np.ndarray) -> None:
         """Take over other values of the settings, (n,), between two cycles."""
@@ -119,7 +124,7 @@ def failure_of(
     if isinstance(error, ProtocolError):
         return error
     if error is not None:
-        failed = DeviceError(name, raised_text("step", error))
+        failed = PlugInError(name, raised_text("step", error))
         failed.__cause__ = error
         return failed
     part = ANY_PART[int(backends["failed"]) - 1]

@@ -19,7 +19,7 @@ from hil.core.gnc_records import MAX_IMU_SAMPLES
 from hil.core.own_code import import_error, module_of_file, require_trust
 from hil.core.part import provided
 from hil.core.settings import Setting
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput, Problem, did_you_mean
 from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
 from hil.gnc_backends.python_backend import PythonBackend
@@ -101,7 +101,8 @@ def _settings_of(
         key = f"gnc.{part}.settings.{name}"
         if name not in declared:
             names = ", ".join(declared) or "none"
-            problems.append(Problem(scenario.where(key), key, f"unknown key: known here: {names}"))
+            hint = did_you_mean(name, declared)
+            problems.append(Problem(scenario.where(key), key, f"unknown key: {hint}known here: {names}"))
         elif text := declared[name].problem(value):
             problems.append(Problem(scenario.where(key), key, text))
     return {name: given.get(name, setting.default) for name, setting in declared.items()}, problems

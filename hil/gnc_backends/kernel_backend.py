@@ -16,8 +16,9 @@ from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
 from hil.core.gnc_records import INPUTS, OUTPUTS
-from hil.core.jit import c_function, kernel
+from hil.core.jit import c_function
 from hil.core.own_code import compile_error
+from hil.core.own_kernel import RAISED, own_kernel, raised_by
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
 from hil.gnc_backends.backend import NO_SETTINGS, BackendInstance
@@ -46,7 +47,8 @@ def kernel_backend(
 
     The function, ``law(settings, inp, out, memory)``, is compiled by numba. ``settings`` has the declared settings as
     attributes. ``inp`` and ``out`` are the records of ``hil_backends.h``; ``out`` is preset: no estimate, no demands.
-    ``memory`` is a record of the dtype ``memory``, zeroed at the start of each run.
+    ``memory`` is a record of the dtype ``memory``, zeroed at the start of each run. What the function raises ends the
+    run, as does an index outside an array or a value of another shape.
 
     Raises ValueError for a declaration that contradicts itself.
     """
@@ -65,7 +67,7 @@ class CompiledKernel:
     receives_measurements = True
 
     def __init__(self, backend: KernelBackend, part: str, refuse: Callable[[str], BadInput]) -> None:
-        self.name, self.settings = backend.name, backend.settings
+        self.name, self.settings, self._function = backend.name, backend.settings, backend.function
         parameters = inspect.signature(backend.function).parameters
         if len(parameters) != len(_ARGUMENTS):
             text = f"{backend.name}({', '.join(parameters)}): a kernel takes ({', '.join(_ARGUMENTS)})"
@@ -85,18 +87,34 @@ class CompiledKernel:
     def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
         """Return an instance with memory of its own."""
         block = np.zeros(1, self._instance)
-        instance = BackendInstance(self._step, block.ctypes.data, block)
+        instance = KernelInstance(self._step, block.ctypes.data, block)
+        instance.function, instance.records = self._function, block
         instance.set_settings(values)
         return instance
 
 
+class KernelInstance(BackendInstance):
+    """A kernel in flight. function: the plain one. records: (1,), its settings and its memory."""
+
+    function: Callable[..., None]
+    records: np.ndarray
+
+    def error_of(self, given: np.void, output: np.void) -> BaseException:
+        """Return what the kernel has raised."""
+        own = self.records[0]
+        return raised_by(self.function, own["settings"], given, output, own["memory"])
+
+
 def _step_address(function: Callable[..., None], part: str, layout: np.dtype) -> int:
     """Return the address of ``function`` as the step of a backend of ``part``. layout: of an instance."""
-    law, given_layout, output_layout = kernel(function), INPUTS[part], OUTPUTS[part]
+    law, given_layout, output_layout = own_kernel(function), INPUTS[part], OUTPUTS[part]
 
     def step(given, output, instance):  # type: ignore[no-untyped-def]
-        own = carray(instance, (1,), layout)[0]
-        law(own.settings, carray(given, (1,), given_layout)[0], carray(output, (1,), output_layout)[0], own.memory)
-        return 0
+        own, code = carray(instance, (1,), layout)[0], 0
+        try:
+            law(own.settings, carray(given, (1,), given_layout)[0], carray(output, (1,), output_layout)[0], own.memory)
+        except Exception:
+            code = RAISED
+        return code
 
     return c_function(step, types.int32(types.voidptr, types.voidptr, types.voidptr))

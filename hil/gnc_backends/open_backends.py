@@ -102,7 +102,7 @@ class OpenBackends:
         part = ANY_PART[int(state["failed"]) - 1]
         instance, error, message = self._instances.get(part), None, b""
         if instance is not None and state["fault"] == backend_outputs.RETURNED:
-            error, message = instance.error, instance.message
+            error, message = instance.error_of(state[f"{part}_input"], state[f"{part}_output"]), instance.message
         if isinstance(error, KeyboardInterrupt):
             raise error
         self.user_error = None if isinstance(error, ProtocolError) else error

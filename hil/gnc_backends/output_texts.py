@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -31,13 +29,6 @@ def whole_text(text: bytes, message: bytes) -> bytes:
     """Return ``message`` if the text of an output is the beginning of it, else that text."""
     shown = text.split(b"\0")[0]
     return message if shown and message.startswith(shown) else text
-
-
-def raised_text(method: str, error: BaseException) -> str:
-    """Return what an object's ``method`` has raised, with file and line, as one line."""
-    text, frames = " ".join(str(error).split()), traceback.extract_tb(error.__traceback__)
-    location = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{method} raised {type(error).__name__}" + (f": {text}" if text else "") + location
 
 
 def step_failed(name: str, code: int, text: bytes) -> DeviceError:

@@ -15,10 +15,10 @@ import numpy as np
 
 from hil.core.fields import described, offset_of
 from hil.core.gnc_records import INPUTS, OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_BYTES, GncMode
+from hil.core.plug_ins import begin_of, raised_text
 from hil.core.settings import Setting, checked_settings
-from hil.errors import BadInput, DeviceError, ProtocolError
+from hil.errors import BadInput, PlugInError, ProtocolError
 from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance, address_of
-from hil.gnc_backends.output_texts import raised_text
 
 _RAISED: Final = 1
 _LARGE: Final = 1000  # bound of demands, states and health
@@ -93,8 +93,8 @@ class PythonBackend:
 def _called(name: str, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
     try:
         return function(*arguments)
-    except Exception as error:
-        raise DeviceError(name, raised_text(method, error)) from error
+    except (Exception, SystemExit) as error:
+        raise PlugInError(name, raised_text(method, error)) from error
 
 
 class PythonInstance(BackendInstance):
@@ -193,7 +193,7 @@ class PythonInstance(BackendInstance):
         return numbers
 
     def _error(self, text: str) -> ProtocolError:
-        return ProtocolError(self._name, text)
+        return ProtocolError(self._name, f"{text}{begin_of(self._made.step)}")
 
 
 def _shown(shape: tuple[int, ...]) -> str:

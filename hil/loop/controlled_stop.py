@@ -20,7 +20,7 @@ from hil.core import alarm_table as table
 from hil.core.alarms import Alarm
 from hil.core.messages import Array
 from hil.drivers.base import AxisGroup
-from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, SafetyTrip
+from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, PlugInError, SafetyTrip
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
 
@@ -63,6 +63,8 @@ class Ramp:
         self._lost_since_s = math.inf
         self._off_since_s = np.full(len(deceleration), math.inf)
         self._first: Array | None = None
+        self.failure: PlugInError | None = None
+        """What the driver of the axes has raised during the stop."""
         with suppress(BenchError):
             self._first = np.abs(axes.read(stopped_s).rate)
 
@@ -80,7 +82,8 @@ class Ramp:
         """Return the alarm of an axis that has left its ramp for ``OFF_RAMP_S``, None if all follow it."""
         try:
             feedback = self.axes.read(now_s)
-        except BenchError:
+        except BenchError as error:
+            self.failure = error if isinstance(error, PlugInError) else self.failure
             self.rested_s = math.inf
             self._lost_since_s = min(self._lost_since_s, now_s)
             return None
@@ -165,6 +168,11 @@ class ControlledStop:
             now_s = self._rate.wait().now_s
             self._loop.safety_io.keep_closed(now_s)
         self._loop.safety_io.stop(now_s)
+
+    @property
+    def failures(self) -> list[PlugInError]:
+        """What drivers have raised during the stop."""
+        return [ramp.failure for ramp in self._ramps if ramp.failure is not None]
 
     def _begin(self, now_s: float) -> list[Ramp]:
         bench, limits = self._loop.bench, self._loop.bench.safety.limits
@@ -252,7 +260,7 @@ class RootCause:
                 return alarm.trip()
             self._loop.safety_io.check(now_s)
         except BenchError as cause:
-            if isinstance(self._fault, LinkLost):  # a root cause itself
+            if isinstance(self._fault, LinkLost | PlugInError):  # a root cause itself
                 return self._fault
             if not (chain_opened and isinstance(cause, SafetyTrip) and cause.alarm.code == table.SAFETY_CHAIN.code):
                 return cause

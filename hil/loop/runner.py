@@ -20,9 +20,10 @@ from hil.core.observable import ObservableList
 from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import DefaultScheduling, no_garbage_collection
 from hil.drivers.base import PoseSource
-from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
+from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip, one_line
 from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop, RootCause
 from hil.loop.cycle import Cycles, CyclesOf, Loop, PythonCycles
+from hil.loop.loop_watch import LoopWatch
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer
 from hil.loop.outcome import Outcome
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -32,6 +33,7 @@ from hil.loop.session_parts import SessionParts
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _LONG_PAUSE_S: Final = 0.03
+_STEP_S: Final = 2.0  # wall time for a step of a plug-in in real time, in which the bench has long been stopped
 _CAUSED_BY_PAUSES: Final = tuple(
     kind.code for kind in (table.SAFETY_CHAIN, table.AGE_OF_SETPOINT, table.AGE_OF_FEEDBACK, table.FOLLOWING_ERROR)
 )
@@ -43,7 +45,8 @@ class RunPlan:
 
     frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
     complete run if ``park_after_run``. brakes: holding brakes of the axes. until_stopped: the operator ends the closed
-    loop, which is no fault. warning_s: duration of the warning before the first motion.
+    loop, which is no fault. warning_s: duration of the warning before the first motion. step_timeout_s: wall time after
+    which a step of a plug-in that does not return ends a run that does not keep real time.
     """
 
     step_s: float
@@ -55,6 +58,7 @@ class RunPlan:
     ticks: int = 1
     until_stopped: bool = False
     warning_s: float = 0.0
+    step_timeout_s: float = 60.0
 
     @property
     def tick_s(self) -> float:
@@ -100,6 +104,13 @@ class Runner:
         self.cycles: Cycles = cycles(loop, python) if cycles else python
         self._parked = False
         self._powered = False
+        core = loop.memory.state
+        self._watch = LoopWatch(lambda: (int(core.cycle), self._sequencer.ticks), self._step_timeout_s)
+
+    def _step_timeout_s(self) -> float:
+        """Return the time, s by the wall clock, after which a step of a plug-in is interrupted."""
+        runs = self.rate.paced and self._modes.mode is Mode.RUNNING
+        return _STEP_S if runs else self._plan.step_timeout_s
 
     @property
     def source(self) -> PoseSource:
@@ -115,7 +126,7 @@ class Runner:
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; in each case the bench is stopped."""
-        with no_garbage_collection(freeze=self.rate.paced):
+        with no_garbage_collection(freeze=self.rate.paced), self._watch:
             stop = self._run()
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
@@ -223,6 +234,7 @@ class Runner:
 
     def _stand_by(self) -> None:
         """Run one monitored cycle without motion."""
+        self._watch.check()
         tick = self._sequencer.tick()
         self.loop.discard_frames(tick.now_s)
         if self._sequencer.ticks % self._sequencer.progress_ticks == 0:
@@ -263,6 +275,7 @@ class Runner:
         self._modes.go(Mode.ARMED)
         frames = 0
         while frames < self._plan.frames_to_arm:
+            self._watch.check()
             tick = self._sequencer.tick()
             frames += self.loop.discard_frames(tick.now_s)
             self._on_progress(Mode.ARMED, 0.0)
@@ -281,6 +294,7 @@ class Runner:
                 if signals:
                     raise StopCommanded
                 tick = self.cycles.advance(held_s)
+                self._watch.check()
                 last = self.loop.done - 1
                 if _has_multiple(first, last, PROGRESS_CYCLES):
                     self._on_progress(Mode.RUNNING, last / cycles)
@@ -332,12 +346,14 @@ class Runner:
             def report_cause(now_s: float) -> None:
                 if self._modes.mode is Mode.SAFE_STOP or (cause := search.poll(now_s, stop.cut)) is None:
                     return
-                pause = self._host_pause(cause)
+                if (found := self.parts.process_failures(cause)) is None:
+                    return
+                pause = found or self._host_pause(cause)
                 alarm = alarm_from_error(cause, begun_s)
                 self.safety.alarms.latch(replace(alarm, text=alarm.text + pause))
                 if cause is not fault:
                     self.safety.alarms.latch(alarm_from_error(fault, begun_s))
-                self._faults.append(f"{cause}{pause}")
+                self._faults.append(one_line(f"{cause}{pause}"))
                 self._modes.go(Mode.SAFE_STOP)
                 self.operator.cancel_auto_sequence()
 
@@ -417,6 +433,7 @@ class Runner:
                 stop.brake()
                 stop.remove_torque()
                 self._powered = False
+                self._faults[:0] = map(str, stop.failures)
             self.source.close()
             if self.loop.sensors is not None:
                 self.loop.sensors.close()

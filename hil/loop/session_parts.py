@@ -13,6 +13,7 @@ from hil.core.camera_images import ImageSink
 from hil.core.clock import BenchClock
 from hil.core.operator_commands import Operator
 from hil.core.realtime import SchedulingPolicy
+from hil.errors import BenchError
 from hil.frmn.image_memory import ImageMemory
 from hil.frmn.ring import Telemetry
 from hil.loop.motion_sequences import ProgressCallback
@@ -73,6 +74,9 @@ class SessionParts:
     """Called before each opening of the devices; raise BenchError if the bench must not run."""
     process_pauses: Callable[[], dict[str, float]] = dict
     """Returns the pauses by the host, s, of the processes that serve the devices."""
+    process_failures: Callable[[BenchError], str | None] = lambda _: ""
+    """Returns what has happened to processes of the bench, as an addition to the text of a fault: "" for nothing, None
+    if it is to be asked again."""
     on_built: list[Callable[[Any], None]] = field(default_factory=list)
     """Called with the ``Runner`` before it starts."""
     controls: dict[str, Any] = field(default_factory=dict)

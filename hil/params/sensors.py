@@ -18,10 +18,10 @@ from hil.maths import chi_square, quat
 from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.dynamics import sun_direction
 from hil.params.faults import fault_rows
-from hil.sensors.compiled import addresses
 from hil.sensors.measurement import SENSOR_PARAMS
 from hil.sensors.module import SensorKind
 from hil.sensors.registry import sensor
+from hil.sensors.trial import rehearsed
 
 MONITOR: Final = "monitor"
 """Name of the sensor of the table ``[monitor]``."""
@@ -110,7 +110,8 @@ def sensor_sources(scenario: Scenario, seed: int) -> np.record:
     for source, (kind, config, models) in zip(params.source, sensors.values(), strict=False):
         row = settings_row(kind, config)
         source.settings[: len(row)] = row
-        source.measure, source.models = addresses(kind).measure, models
+        # those of datagrams are measured in memory; on wires the samples are the wire's
+        source.measure, source.models = rehearsed(kind).measure, models or config.source == "udp"
         source.sees_bench, source.n = kind.module.sees == "bench", len(kind.components)
         source.rate_hz = min(config.rate_hz or kind.module.rate_hz, 1.0 / scenario.step_s)
         source.latency_s, source.loss = config.latency_s, config.loss_probability
@@ -135,7 +136,7 @@ def sensor_fusion(scenario: Scenario, first_state: int, gate: float) -> np.recor
     for number, (slot, (kind, config, _)) in enumerate(zip(params.slot, sensors.values(), strict=False)):
         values = kind.values(config.settings)
         slot.settings[: len(values)] = list(values.values())
-        slot.innovate, slot.enabled, slot.n = addresses(kind).innovate, config.enabled, len(kind.components)
+        slot.innovate, slot.enabled, slot.n = rehearsed(kind).innovate, config.enabled, len(kind.components)
         slot.witness = config.use == "witness"
         slot.sigmas, slot.samples = config.interlock_sigmas, config.interlock_samples
         for group in range((slot.n + 2) // 3):

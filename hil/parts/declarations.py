@@ -13,43 +13,66 @@ CORE: Final = Part(
     name="core",
     summary="Closed loop of a scenario on a rig: run, safety, recording, replay, report.",
     commands={
-        "run": PartCommand("hil.cli.run:run", "Run one closed loop and print its verdict."),
+        "run": PartCommand(
+            "hil.cli.run:run",
+            "Run one closed loop and print its verdict.",
+            "hil run scheme-1 --seed 7 --set gnc.control.deadband_m=0.004 --record runs",
+        ),
         "init": PartCommand(
             "hil.cli.init:init",
             "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.",
+            "hil init approach",
         ),
         "preflight": PartCommand(
             "hil.cli.preflight:preflight",
             "Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.",
+            "hil preflight --rig lab.toml --json preflight.json",
         ),
         "replay": PartCommand(
             "hil.cli.replay:replay",
             "Replay the recorded inputs of a run through the present GNC and compare bit by bit.",
+            "hil replay RUN.mcap --set gnc.navigation.noise_scale=2",
         ),
         "recover": PartCommand(
-            "hil.cli.recover:recover", "Restore a truncated recording in a new file; the file itself stays unchanged."
+            "hil.cli.recover:recover",
+            "Restore a truncated recording in a new file; the file itself stays unchanged.",
+            "hil recover RUN.mcap -o restored.mcap",
         ),
         "vehicle": PartCommand(
-            "hil.cli.vehicle:vehicle", "Compare the vehicle of a scenario with its plan, Table III, and abort."
+            "hil.cli.vehicle:vehicle",
+            "Compare the vehicle of a scenario with its plan, Table III, and abort.",
+            "hil vehicle scheme-1 --json vehicle.json",
         ),
         "warm-up": PartCommand(
             "hil.cli.warm_up:warm_up",
             "Compile all kernels for this computer, and print the time that each group of them takes.",
+            "hil warm-up",
         ),
         "list": PartCommand(
             "hil.cli.list:list",
             "List what a command takes by name: scenarios, rigs, dispersions, drivers, backends, sensors, parts.",
+            "hil list scenarios",
         ),
         "keys": PartCommand(
             "hil.cli.keys:keys",
             "List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.",
+            "hil keys deadband",
         ),
         "report": PartCommand(
             "hil.cli.report:report",
             "Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.",
+            "hil report RUN.mcap -o run.html",
         ),
-        "recordings": PartCommand("hil.cli.recordings:app", "Recorded runs."),
-        "sensors": PartCommand("hil.cli.sensors:app", "Sensor modules that a scenario can add: list them, check one."),
+        "recordings": PartCommand(
+            "hil.cli.recordings:app",
+            "Recorded runs.",
+            "hil recordings list runs",
+        ),
+        "sensors": PartCommand(
+            "hil.cli.sensors:app",
+            "Sensor modules that a scenario can add: list them, check one.",
+            "hil sensors check range_finder",
+        ),
     },
 )
 
@@ -60,11 +83,16 @@ VISION: Final = Part(
         "vmu": PartCommand(
             "hil.parts.vision.cli.vmu:vmu",
             "Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.",
+            "hil vmu images --geometry vmu.toml --out poses.csv",
         ),
-        "targets": PartCommand("hil.parts.vision.cli.targets:app", "Targets of the vision unit: print their sheets."),
+        "targets": PartCommand(
+            "hil.parts.vision.cli.targets:app", "Targets of the vision unit: print their sheets.",
+            "hil targets print apriltag -o sheet.pdf",
+        ),
         "calibrate": PartCommand(
             "hil.parts.vision.cli.calibrate:calibrate",
             "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.",
+            "hil calibrate views --out vmu.toml",
         ),
     },
     provides={"replay of images": "hil.parts.vision.cli.replay_images:replay_images"},
@@ -84,33 +112,40 @@ CAMPAIGNS: Final = Part(
             "hil.parts.campaigns.cli.campaign:campaign",
             "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases "
             "fail.",
+            "hil campaign scheme-1 --runs 200 --out results",
         ),
         "explain": PartCommand(
             "hil.parts.campaigns.cli.explain:explain",
             "Explain why cases of a campaign fail, or a recorded run: the first violated limit, its drivers and "
             "thresholds.",
+            "hil explain results --case 25",
         ),
         "margins": PartCommand(
             "hil.parts.campaigns.cli.margins:margins",
             "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
             "fails.",
+            "hil margins scheme-1 --runs 20",
         ),
         "benchmark": PartCommand(
             "hil.parts.campaigns.cli.benchmark:benchmark",
             "Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.",
+            "hil benchmark builtin --out benchmark",
         ),
         "fusion": PartCommand(
             "hil.parts.campaigns.cli.fusion:fusion",
             "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
+            "hil fusion --runs 200 --json fusion.json",
         ),
         "ci": PartCommand(
             "hil.parts.campaigns.cli.ci:ci",
             "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the "
             "base.",
+            "hil ci scenarios/approach.toml --out results",
         ),
         "recordings place": PartCommand(
             "hil.parts.campaigns.cli.campaign_recordings:place_recordings",
-            "Place recorded runs in the distribution of a campaign."
+            "Place recorded runs in the distribution of a campaign.",
+            "hil recordings place RUN.mcap --campaign results",
         ),
     },
     provides={
@@ -134,11 +169,13 @@ WIRES: Final = Part(
     check_rig="hil.parts.wires.clock:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
-        "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.io.codec", "hil.drivers.io.coupler",
+        "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.datagrams", "hil.drivers.io.codec",
+        "hil.drivers.io.coupler",
         "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",
-        "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.serial_port",
-        "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.codec", "hil.drivers.vmu.driver",
-        "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender",
+        "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.returned",
+        "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.absent",
+        "hil.drivers.vmu.codec", "hil.drivers.vmu.datagrams", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",
+        "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender", "hil.drivers.vmu.text_codec",
         "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock",
     ),
 )  # fmt: skip
@@ -150,6 +187,7 @@ MONITOR: Final = Part(
         "monitor": PartCommand(
             "hil.parts.monitor.cli:monitor",
             "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
+            "hil monitor approach.mp4 --scene atv --out portions.csv",
         ),
     },
     tables={"monitor": "", "rig.monitor_camera": ""},
@@ -173,8 +211,13 @@ CONSOLE: Final = Part(
         "console": PartCommand(
             "hil.parts.console.cli.console:console",
             "Serve the page that displays and commands a session at the bench, until Ctrl-C.",
+            "hil console --rig emulated",
         ),
-        "operators": PartCommand("hil.parts.console.cli.operators:app", "Keys of the operators of a console."),
+        "operators": PartCommand(
+            "hil.parts.console.cli.operators:app",
+            "Keys of the operators of a console.",
+            "hil operators add NAME",
+        ),
     },
 )
 
@@ -185,6 +228,7 @@ EMULATION: Final = Part(
         "emulate": PartCommand(
             "hil.parts.emulation.cli:emulate",
             "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
+            "hil emulate emulated",
         ),
     },
     provides={
@@ -204,6 +248,7 @@ CAMERAS: Final = Part(
         "cameras": PartCommand(
             "hil.parts.cameras.cli.cameras:app",
             "Cameras of the vision unit: find them, show their images, focus their lenses.",
+            "hil cameras list",
         ),
     },
     provides={"vmu.source=rendered": "hil.parts.cameras.pose_sensor:rendered_pose_sensor"},
@@ -220,10 +265,12 @@ LINKS: Final = Part(
             "hil.parts.links.cli.gnc:app",
             "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
             "disconnects.",
+            "hil gnc check ./libgnc.so",
         ),
         "dss": PartCommand(
             "hil.parts.links.cli.dss:dss",
             "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
+            "hil dss scheme-1 --gnc 192.168.0.2:5010",
         ),
     },
     tables={"rig.flight_computer": "", "rig.gnc_link": ""},
@@ -237,6 +284,7 @@ FMI: Final = Part(
         "fmu-export": PartCommand(
             "hil.parts.fmi.cli:fmu_export",
             "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
+            "hil fmu-export scheme-1 -o plant.fmu",
         ),
     },
     provides={
@@ -255,10 +303,12 @@ COMMISSIONING: Final = Part(
         "identify": PartCommand(
             "hil.parts.commissioning.cli.identify:identify",
             "Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and bandwidth.",
+            "hil identify lab.toml --out identified.toml",
         ),
         "commission": PartCommand(
             "hil.parts.commissioning.cli.commission:commission",
             "Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.",
+            "hil commission lab.toml --out signed.toml",
         ),
     },
 )
@@ -270,6 +320,7 @@ EXPORT: Final = Part(
         "export": PartCommand(
             "hil.parts.export.cli:export",
             "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
+            "hil export RUN.mcap --format ros2 -o bag",
         ),
     },
     provides={"table of cycles": "hil.parts.export.table:write_cycles"},

@@ -35,6 +35,8 @@ RECORD_ENCODING: Final = "hil.record"
 """Message encoding of channels of packed records; their schemas have ``hil.fields`` as encoding."""
 FIELDS_ENCODING: Final = "hil.fields"
 
+_PARTS: Final = {"x": 0, "y": 1, "z": 2, "q1": 0, "q2": 1, "q3": 2, "q0": 3}
+"""Earlier name of an element -> its index."""
 _TYPE: Final = re.compile(r"[fiu][1248]|b1|S[1-9]\d{0,3}")
 _SIZE_MAX: Final = 1 << 20
 
@@ -124,6 +126,24 @@ def layout_of(schema: bytes, source: str) -> np.dtype:
 def flat_dtype(dtype: np.dtype) -> np.dtype:
     """Return ``dtype`` without nesting: dotted names at the same offsets."""
     return _flat(list(flat_fields(dtype)), dtype.itemsize)
+
+
+def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the columns of ``flat`` (n,): name and values (n,); ``truth.r_CT_H[0]`` for an element of an array."""
+    for name in flat.dtype.names or ():
+        values = flat[name]
+        if values.dtype.kind == "S":
+            values = np.char.decode(values, "utf-8", "replace")
+        for index in np.ndindex(*values.shape[1:]):
+            yield name + "".join(f"[{i}]" for i in index), values[(slice(None), *index)]
+
+
+def present_column(name: str) -> str:
+    """Return the present name of a column that was named with ``.x``, ``.q0``, ``.5`` or ``.0.2`` at its end."""
+    field, dot, part = name.rpartition(".")
+    if part in _PARTS:
+        return f"{field}[{_PARTS[part]}]"
+    return f"{present_column(field)}[{part}]" if dot and part.isdecimal() else name
 
 
 def _flat(fields: list[dict[str, Any]], size: int) -> np.dtype:

@@ -27,10 +27,10 @@ from hil.report.verdict import Verdict, deviations
 from hil.report.verdict_parts import attitude_error
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
-_POINTS = 1500  # per line: more are not visible
+POINTS = 1500  # per line: more are not visible
 _WIDTH_IN = 11.0
 _TAIL = 0.005  # probability that the mean NIS is beyond either side of its band
-_ROWS = (
+ROWS = (
     ("position_m", "distance, m", ("x - 0.4 m", "y", "z")),
     ("velocity_mps", "rate, m/s", ("x", "y", "z")),
     ("attitude_deg", "angle, deg", ("theta1", "theta2", "theta3")),
@@ -48,11 +48,11 @@ class RunFigure(Figure):
 
 
 def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return a line of at most ``_POINTS`` points that keeps the extremes of each stretch."""
+    """Return a line of at most ``POINTS`` points that keeps the extremes of each stretch."""
     n = len(values)
-    if n <= _POINTS:
+    if n <= POINTS:
         return t_s, values
-    edges = np.linspace(0, n, _POINTS // 2 + 1).astype(int)
+    edges = np.linspace(0, n, POINTS // 2 + 1).astype(int)
     kept = set()
     for begin, end in pairwise(edges):
         part = np.nan_to_num(values[begin:end])
@@ -73,7 +73,7 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
     if np.isfinite(valid["navigation"]["protection_level_m"]).any():
         yield "Integrity: error against protection level (Stanford diagram)", svg_address(_stanford(valid, scenario))
         yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(valid))
-    yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
+    yield "Thruster firings (bench paper figure 8)", svg_address(firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
     rows, distance, angle = pose_errors(history, scenario, rig)
     if len(rows):
@@ -89,12 +89,14 @@ def svg_address(figure: Figure) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def _axes(rows: int, columns: int, height_in: float, **keywords: Any) -> tuple[Figure, Any]:
+def axes_of(rows: int, columns: int, height_in: float, **keywords: Any) -> tuple[Figure, Any]:
+    """Return a figure of ``rows`` x ``columns`` axes, and these as an array."""
     figure = RunFigure(figsize=(_WIDTH_IN, height_in), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **keywords)
 
 
-def _line(plot: Any, t_s: Array, values: Array, **keywords: Any) -> None:
+def line(plot: Any, t_s: Array, values: Array, **keywords: Any) -> None:
+    """Draw a line that keeps the extremes of ``values`` (n,)."""
     plot.plot(*thin(t_s, values), linewidth=0.9, **keywords)
 
 
@@ -102,13 +104,13 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
     """Return the truth against the ready state (bench paper figures 6 and 7) of ``history``, (n,) of CYCLE, n > 0."""
     requirements = scenario.requirements
     deviation, allowed = deviations(history, requirements), tolerances(requirements)
-    figure, axes = _axes(4, 2, 9.5, width_ratios=(2, 1))
+    figure, axes = axes_of(4, 2, 9.5, width_ratios=(2, 1))
     last_s = float(deviation.t_s[-1])
-    for row, (key, label, names) in enumerate(_ROWS):
+    for row, (key, label, names) in enumerate(ROWS):
         whole, close = axes[row]
         for plot in (whole, close):
             for i, name in enumerate(names):
-                _line(plot, deviation.t_s, getattr(deviation, key)[:, i], color=COLOURS[i], label=name)
+                line(plot, deviation.t_s, getattr(deviation, key)[:, i], color=COLOURS[i], label=name)
             if verdict.ready_time_s is not None:
                 plot.axvline(verdict.ready_time_s, color="0.4", linestyle=":", linewidth=1)
         whole.set_ylabel(label)
@@ -126,7 +128,7 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
 
 
 def _estimate(rows: np.ndarray) -> Any:
-    figure, axes = _axes(3, 3, 6.5, sharex=True)
+    figure, axes = axes_of(3, 3, 6.5, sharex=True)
     truth, estimate = rows["truth"], rows["navigation"]
     for column, (title, unit, error, sigma) in enumerate(
         (
@@ -137,8 +139,8 @@ def _estimate(rows: np.ndarray) -> Any:
     ):
         for i in range(3):
             plot = axes[i, column]
-            _band(plot, rows["t_s"], 3.0 * sigma[:, i])
-            _line(plot, rows["t_s"], error[:, i], color=COLOURS[i])
+            band(plot, rows["t_s"], 3.0 * sigma[:, i])
+            line(plot, rows["t_s"], error[:, i], color=COLOURS[i])
             late = len(rows) // 20
             extent = np.abs(np.concatenate([error[late:, i], np.nan_to_num(3.0 * sigma[late:, i])])).max()
             if extent > 0.0 and np.isfinite(extent):
@@ -149,22 +151,23 @@ def _estimate(rows: np.ndarray) -> Any:
     return figure
 
 
-def _band(plot: Any, t_s: Array, half: Array) -> None:
+def band(plot: Any, t_s: Array, half: Array) -> None:
+    """Draw a grey band of ``half`` (n,) to either side of zero."""
     if np.isfinite(half).any():
         t_s, half = thin(t_s, half)
         plot.fill_between(t_s, -half, half, color="0.88", linewidth=0)
 
 
 def _nis(updates: np.ndarray) -> Any:
-    figure, axes = _axes(2, 1, 4.5, sharex=True)
+    figure, axes = axes_of(2, 1, 4.5, sharex=True)
     window = WINDOWS[0]
     low, high = nis_band(window, _TAIL)
     for plot, key, name in zip(axes[:, 0], ("nis_position", "nis_attitude"), ("position", "attitude"), strict=True):
         nis, t_s = updates["navigation"][key], updates["t_s"]
-        plot.plot(t_s, nis, ".", markersize=1.5, color="0.6", rasterized=len(nis) > _POINTS)
+        plot.plot(t_s, nis, ".", markersize=1.5, color="0.6", rasterized=len(nis) > POINTS)
         mean = np.convolve(np.nan_to_num(nis), np.ones(window) / window, "valid")
         plot.axhspan(low, high, color="0.9", zorder=0)
-        _line(plot, t_s[window - 1 :], mean, color=COLOURS[0], label=f"mean of {window}")
+        line(plot, t_s[window - 1 :], mean, color=COLOURS[0], label=f"mean of {window}")
         plot.set_ylim(0.0, 16.0)
         plot.set_ylabel(f"NIS {name}")
         plot.legend(loc="upper right", fontsize=8)
@@ -175,7 +178,7 @@ def _nis(updates: np.ndarray) -> Any:
 def _stanford(rows: np.ndarray, scenario: Scenario) -> Any:
     errors, levels, limits = np.empty((3, len(rows), 3))
     stanford(integrity_params.integrity(scenario), rows.view(np.ndarray), errors, levels, limits)
-    figure, axes = _axes(1, 3, 4.0)
+    figure, axes = axes_of(1, 3, 4.0)
     for i, (plot, name) in enumerate(zip(axes[0], ("along the docking axis", "across it", "attitude"), strict=True)):
         with np.errstate(divide="ignore", invalid="ignore"):
             draw_stanford(plot, errors[:, i] / limits[:, i], levels[:, i] / limits[:, i])
@@ -186,9 +189,9 @@ def _stanford(rows: np.ndarray, scenario: Scenario) -> Any:
 def draw_stanford(plot: Any, error: Array, level: Array) -> None:
     """Draw protection levels over errors (n,), both relative to the alert limit; red: hazardously misleading."""
     least, most = 1e-3, 1e1
-    every = max(1, len(error) // _POINTS)
+    every = max(1, len(error) // POINTS)
     x, y = (np.clip(values[::every], least, most) for values in (error, level))
-    plot.loglog(x, y, ".", markersize=2, color=COLOURS[0], rasterized=len(x) > _POINTS // 2)
+    plot.loglog(x, y, ".", markersize=2, color=COLOURS[0], rasterized=len(x) > POINTS // 2)
     plot.fill_between([1.0, most], least, 1.0, color=COLOURS[1], alpha=0.25, linewidth=0)
     plot.fill_between([least, most], 1.0, most, color="0.9", linewidth=0, zorder=0)
     plot.plot([least, most], [least, most], color="0.4", linewidth=0.8)
@@ -200,14 +203,14 @@ def draw_stanford(plot: Any, error: Array, level: Array) -> None:
 
 def _levels(rows: np.ndarray) -> Figure:
     """Draw level over limit of each alert limit, and the largest term of the one that is nearest, over time."""
-    figure, axes = _axes(2, 1, 5.0, sharex=True, height_ratios=(2, 1))
+    figure, axes = axes_of(2, 1, 5.0, sharex=True, height_ratios=(2, 1))
     share, term = axes[:, 0]
     supervision, t_s = rows["supervision"], rows["t_s"]
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = supervision["level"] / supervision["alert_limit"]
     for i, name in enumerate(("along", "across", "attitude")):
         values = np.where(np.isfinite(shares[:, i]), shares[:, i], np.nan)
-        _line(share, t_s, values, color=COLOURS[i], label=name)
+        line(share, t_s, values, color=COLOURS[i], label=name)
     share.axhline(1.0, color="0.4", linestyle="--", linewidth=0.9)
     share.set_yscale("log")
     share.set_ylabel("level / alert limit")
@@ -219,21 +222,24 @@ def _levels(rows: np.ndarray) -> Figure:
     return figure
 
 
-def _firings(history: np.ndarray, scenario: Scenario) -> Any:
+def firings(history: np.ndarray, scenario: Scenario) -> Figure:
+    """Return the openings of each thruster, numbered from 1, and the time with demands."""
     n = len(scenario.chaser.thrusters.position_m)
-    figure, axes = _axes(2, 1, 6.0, sharex=True, height_ratios=(2, 1))
+    figure, axes = axes_of(2, 1, 6.0, sharex=True, height_ratios=(2, 1))
     raster, sums = axes[:, 0]
     t_s, step_s = history["t_s"], scenario.step_s
-    for i in range(n):
-        on = np.concatenate([[0], history["command"]["on"][:, i], [0]])
+    for number in range(1, n + 1):
+        on = np.concatenate([[0], history["command"]["on"][:, number - 1], [0]])
         begins, ends = np.flatnonzero(np.diff(on) == 1), np.flatnonzero(np.diff(on) == -1)
         spans = [(t_s[a], max(step_s, t_s[b - 1] - t_s[a] + step_s)) for a, b in zip(begins, ends, strict=True)]
-        raster.broken_barh(spans, (i - 0.4, 0.8), color=COLOURS[i % 3], linewidth=0)
-    raster.set_ylim(-0.7, n - 0.3)
+        raster.broken_barh(spans, (number - 0.4, 0.8), color=COLOURS[(number - 1) % 3], linewidth=0.5)
+    raster.set_ylim(0.3, n + 0.7)
+    raster.set_yticks(range(1, n + 1))
+    raster.tick_params(axis="y", labelsize=8)
     raster.set_ylabel("thruster")
     for i, kind in enumerate(("force", "torque")):
         spent = step_s * np.cumsum(np.abs(history["command"][kind]).sum(axis=1))
-        _line(sums, t_s, spent, color=COLOURS[i], label=f"{kind} demand, all axes")
+        line(sums, t_s, spent, color=COLOURS[i], label=f"{kind} demand, all axes")
     sums.set_ylabel("time on, s")
     sums.legend(loc="upper left", fontsize=8)
     sums.set_xlabel("time, s")
@@ -241,11 +247,11 @@ def _firings(history: np.ndarray, scenario: Scenario) -> Any:
 
 
 def _security(history: np.ndarray) -> Any:
-    figure, axes = _axes(1, 2, 2.6)
+    figure, axes = axes_of(1, 2, 2.6)
     for plot, key, label in zip(
         axes[0], ("corridor_margin_m", "closing_margin_mps"), ("corridor, m", "closing rate, m/s"), strict=True
     ):
-        _line(plot, history["t_s"], history["supervision"][key], color=COLOURS[0])
+        line(plot, history["t_s"], history["supervision"][key], color=COLOURS[0])
         plot.axhline(0.0, color=COLOURS[1], linewidth=1)
         plot.set_ylabel(label)
         plot.set_xlabel("time, s")
@@ -253,16 +259,16 @@ def _security(history: np.ndarray) -> Any:
 
 
 def _bench(t_s: Array, distance: Array, angle: Array) -> Any:
-    figure, axes = _axes(1, 2, 2.6)
+    figure, axes = axes_of(1, 2, 2.6)
     for plot, values, label in zip(axes[0], (1e3 * distance, np.degrees(angle)), ("mm", "deg"), strict=True):
-        _line(plot, t_s, values, color=COLOURS[0])
+        line(plot, t_s, values, color=COLOURS[0])
         plot.set_ylabel(f"camera error, {label}")
         plot.set_xlabel("time, s")
     return figure
 
 
 def _lateness(lateness_s: Array) -> Any:
-    figure, axes = _axes(1, 1, 2.6)
+    figure, axes = axes_of(1, 1, 2.6)
     bins = lateness_histogram(lateness_s)
     labels = [f"< {b['below_us']}" if b["below_us"] is not None else "more" for b in bins]
     axes[0, 0].bar(range(len(bins)), [b["cycles"] for b in bins], color=COLOURS[0])

@@ -121,8 +121,10 @@ def _numbers(results: RunResults) -> Iterator[str]:
         yield html.table(("", "error, rms", "bound", "error over bound"), errors, caption)
     thrusters = results.thrusters
     rows = [
-        (str(i), str(firings), f"{on_s:.2f}")
-        for i, (firings, on_s) in enumerate(zip(thrusters.thruster_firings, thrusters.thruster_on_time_s, strict=True))
+        (str(number), str(firings), f"{on_s:.2f}")
+        for number, (firings, on_s) in enumerate(
+            zip(thrusters.thruster_firings, thrusters.thruster_on_time_s, strict=True), start=1
+        )
     ]
     yield html.table(("thruster", "firings", "open, s"), rows, "Thruster use")
     if control := results.control:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from rich.console import Console
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -14,9 +15,11 @@ from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report import results
+from hil.report.explanations import explanation_of
 from hil.report.results import RunResults, number
 from hil.report.verdict import TABLE_V, Verdict
 
+_INDENT: Final = 12
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
     "velocity_mps": ("rate", ("x", "y", "z"), "mm/s", 1e3),
@@ -30,12 +33,17 @@ def _say(console: Console, text: str | Text, style: str | None = None) -> None:
     console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
-def render(run: RunResults, verdict: Verdict, requirements: Requirements, console: Console) -> None:
-    """Print the run's verdict and key numbers."""
+def render(
+    run: RunResults, verdict: Verdict, requirements: Requirements, console: Console, explain: bool = False
+) -> None:
+    """Print the run's verdict and key numbers. explain: with what each line means."""
     if verdict.worst is not None:
         console.print(_ready_phase(run, verdict, requirements))
     for line in _lines(run):
         _say(console, line)
+        plain = line.plain if isinstance(line, Text) else Text.from_markup(line).plain
+        if explain and (meaning := explanation_of(plain)):
+            console.print(Padding(Text(meaning, style="dim"), (0, 0, 0, _INDENT)))
     print_sign_off(run.sign_off, console)
     print_waived(run.waived, console)
     word = "[bold green]PASS[/]" if run.accepted else "[bold red]FAIL[/]"
@@ -186,7 +194,7 @@ def _energy_text(part: results.Energy) -> str:
 
 def _view_text(part: results.FieldOfViewResults) -> str:
     if part.at_s is None:
-        return "no cycle was run"
+        return "no vision unit" if part.passed else "no cycle was run"
     margin = "behind a camera" if part.margin_px is None else f"least margin {part.margin_px:.0f} px"
     return f"{margin} at {part.at_s:.2f} s, range {part.range_m:.2f} m"
 

@@ -256,6 +256,7 @@ class FieldOfView:
         self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
         self._mounting = vmu_params.mounting(rig)
         self._camera, self._leds = vmu_params.camera(rig)
+        self._has_vmu = rig.has_vmu
         self._least_px, self._at_s, self._range_m = math.inf, math.nan, math.nan
         self._rows = self._lost = 0
 
@@ -273,8 +274,8 @@ class FieldOfView:
 
     def part(self) -> results.FieldOfViewResults:
         """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
-        if not self._rows:
-            return results.FieldOfViewResults(passed=False)
+        if not (self._rows and self._has_vmu):  # without a vision unit nothing has to be in view
+            return results.FieldOfViewResults(passed=not self._has_vmu)
         return results.FieldOfViewResults(
             passed=bool(self._least_px >= 0.0),
             margin_px=finite_or_none(self._least_px),

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any, Final
 
 import numpy as np
 from scipy.special import chdtri
 
-from hil.core.messages import Array, new
+from hil.core.messages import Array
 from hil.core.sensor_records import (
     MEMORY,
     NORMALS,
     SENSOR_ESTIMATE,
-    SENSOR_INNOVATION,
-    SENSOR_OUTPUT,
-    SENSOR_TRUTH,
     STATES,
 )
 from hil.maths import quat
-from hil.sensors.compiled import addresses
 from hil.sensors.module import SensorKind
+from hil.sensors.trial import Trial
 
 _STEPS: Final = np.array([1e-5] * 3 + [1e-6] * 3 + [1e-6] * 3)  # m, m/s, rad
 _TOLERANCE: Final = 1e-3  # relative to the largest entry of a row
@@ -28,45 +24,6 @@ _POSES: Final = 40
 _SAMPLES: Final = 400
 _TAIL: Final = 1e-6
 _RANGES_M: Final = (0.4, 1.0, 3.0, 8.0, 30.0, 90.0)
-
-
-class Trial:
-    """A module called from Python, as the loop calls it. values: of the settings, in the order of their declaration."""
-
-    def __init__(self, sensor: SensorKind, values: Array) -> None:
-        self._sensor = sensor
-        self._values = np.ascontiguousarray(values if len(values) else np.zeros(1), float)
-        kind = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_void_p] * 3)
-        self._measure, self._innovate = (kind(address) for address in addresses(sensor))
-        self.truth, self.output = new(SENSOR_TRUTH), new(SENSOR_OUTPUT)
-        self.estimate, self.innovation = new(SENSOR_ESTIMATE), new(SENSOR_INNOVATION)
-
-    def measure(self) -> bool:
-        """Measure ``truth`` into ``output``; return whether there is a measurement."""
-        self.output.valid = 1
-        self.output.sample.value, self.output.sample.covariance = 0.0, 0.0
-        self._call(self._measure, self.truth, self.output)
-        return bool(self.output.valid)
-
-    def innovate(self) -> Array:
-        """Compare ``output`` with ``estimate``; return the innovation (n,), with the others in ``innovation``."""
-        innovation, n = self.innovation, len(self._sensor.components)
-        innovation.sample = self.output.sample
-        for name in ("value", "h", "h_errors"):
-            innovation[name][...] = 0.0
-        for k, error in enumerate(self._sensor.module.errors):
-            innovation["h_errors"][error.component, k] = 1.0
-        innovation.noise = self.output.sample.covariance
-        self._call(self._innovate, self.estimate, innovation)
-        value: Array = innovation["value"][:n].copy()
-        return value
-
-    def _call(self, function: Any, first: np.record, second: np.record) -> None:
-        function(_address(first), _address(second), self._values.ctypes.data)
-
-
-def _address(record: np.record) -> int:
-    return int(np.asarray(record).__array_interface__["data"][0])
 
 
 def problems(kind: SensorKind, values: Array | None = None, seed: int = 0) -> list[str]:

@@ -14,8 +14,9 @@ from numba import types
 from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
-from hil.core.jit import c_function, kernel
+from hil.core.jit import c_function
 from hil.core.own_code import compile_error
+from hil.core.own_kernel import RAISED, own_kernel
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_SAMPLE, SENSOR_TRUTH
 from hil.errors import BadInput
 from hil.sensors.module import SensorKind, SensorModule
@@ -39,15 +40,19 @@ def addresses(sensor: SensorKind) -> Addresses:
 
 
 def _address(module: type[SensorModule], name: str, settings: np.dtype) -> int:
-    function: Callable[..., Any] = kernel(getattr(module, name))
+    function: Callable[..., Any] = own_kernel(getattr(module, name))
     first_layout, second_layout = _ARGUMENTS[name]
 
     def call(first, second, values):  # type: ignore[no-untyped-def]
-        function(
-            carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
-            carray(second, (1,), second_layout)[0],
-        )  # fmt: skip
-        return 0
+        code = 0
+        try:
+            function(
+                carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
+                carray(second, (1,), second_layout)[0],
+            )  # fmt: skip
+        except Exception:
+            code = RAISED
+        return code
 
     try:
         return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Final, Literal
 from hil.config.tables.faults import TERMS
 from hil.config.tables.sensors import SensorConfig
 from hil.core.line_protocol import LineProtocol
+from hil.core.public import public
 from hil.core.sensor_records import COMPONENTS_MAX, SENSOR_ERRORS_MAX
 from hil.core.settings import Setting, checked_settings
 
@@ -35,6 +36,7 @@ FUSED_FAULTS: Final = {
 """What the filters see of the faults of a sensor that they fuse."""
 
 
+@public
 @dataclass(frozen=True, slots=True)
 class Component:
     """A component of a measurement: name of its column, which ends in the unit, its unit and what it means."""
@@ -44,6 +46,7 @@ class Component:
     doc: str = ""
 
 
+@public
 @dataclass(frozen=True, slots=True)
 class SensorError:
     """An error of a sensor that is a state of the filters: by default added to ``component``.

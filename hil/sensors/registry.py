@@ -10,7 +10,6 @@ A scenario may also name a class in a file: ``kind = "sensors/altimeter.py:Altim
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Callable
 from functools import cache
@@ -24,7 +23,7 @@ from hil.config.tables.sensors import SensorConfig
 from hil.core.own_code import import_error, module_of_file
 from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.core.settings import Setting
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput, Problem, did_you_mean
 from hil.sensors.module import COMMON, SensorKind, checked
 
 GROUP: Final = "hil.sensors"
@@ -51,9 +50,8 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
         points = _packages()
         if kind not in points:
             names = [*SHIPPED, *points]
-            close = difflib.get_close_matches(kind, names, n=1)
-            hint = f"did you mean {close[0]}? " if close else ""
-            raise refuse(f"no such sensor: {hint}known are {', '.join(names)}, or a class in a file, FILE.py:NAME")
+            known = f"known are {', '.join(names)}, or a class in a file, FILE.py:NAME"
+            raise refuse(f"no such sensor: {did_you_mean(kind, names)}{known}")
         point = points[kind]
         return checked(point.load(), point.dist.name if point.dist else "")
     except BadInput:
@@ -131,10 +129,7 @@ def _settings_of(
 def _unknown(name: str, declared: dict[str, Setting]) -> str:
     names = [*declared, *(key for key in COMMON if key not in ("kind", "name"))]
     stem = name.rpartition("_")[0] or name
-    close = [key for key in names if key.startswith((f"{name}_", f"{stem}_"))]
-    close = close or difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key: {hint}known here: {', '.join(names)}"
+    return f"unknown key: {did_you_mean(f'{stem}_', names)}known here: {', '.join(names)}"
 
 
 def _of_file(kind: str, refuse: Callable[[str], BadInput]) -> Any:

@@ -56,11 +56,12 @@ from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.session.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.session.pose_model import PoseSensor, make_pose_sensor, transport
-from hil.session.sample_sources import sample_sources, wired_sensors
+from hil.session.sample_sources import datagram_sensors, wired_sensors
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
 _UNTIL_STOPPED_CYCLES = 2**40
+_NO_VISION_M = 1e-3  # range up to which poses are expected
 _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
 
 
@@ -112,7 +113,9 @@ class Job:
         Raises BadInput if there are none, and for a run of more cycles than can be recorded.
         """
         object.__setattr__(self, "scenario", named(self.scenario, self.own))
-        if self.scenario.value.vmu.source == "cameras":
+        if not self.rig.value.has_vmu:
+            object.__setattr__(self, "scenario", replace(self.scenario, value=without_vision(self.scenario.value)))
+        if self.scenario.value.vmu.source == "cameras" and self.rig.value.has_vmu:
             object.__setattr__(self, "rig", with_cameras(self.scenario, self.rig))
         if self.cycles > CYCLES_MAX and not self.until_stopped:
             text = f"{self.duration_s:g}: has {self.cycles} cycles of step_s, at most {CYCLES_MAX} are allowed"
@@ -145,6 +148,14 @@ class Job:
     def tick_s(self) -> float:
         """Period of the rate keeper, the fastest rate that waits for its time, s."""
         return self.scenario.value.step_s / self.ticks
+
+
+def without_vision(scenario: Scenario) -> Scenario:
+    """Return ``scenario`` for a bench without a vision unit: no poses are expected, and none are modelled."""
+    integrity = scenario.gnc.integrity.model_copy(update={"vision_range_m": _NO_VISION_M})
+    errors = scenario.vmu.errors.model_copy(update={"needs_view": True})
+    gnc = scenario.gnc.model_copy(update={"integrity": integrity})
+    return scenario.model_copy(update={"gnc": gnc, "vmu": scenario.vmu.model_copy(update={"errors": errors})})
 
 
 def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
@@ -241,6 +252,7 @@ def assemble(
         job.ticks,
         job.until_stopped,
         rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
+        rig.host.lock_step_timeout_s,
     )
     if sensors is not None:
         parts.meters["sensors"] = sensors.numbers
@@ -303,13 +315,12 @@ def _sensors(
         return None
     scenario = job.scenario.value
     kinds = {name: sensor.kind for name, sensor in sensors_of(scenario).items()}
-    wired = wired_sensors(scenario, rig) if parts.clock is not None else []
+    wired = [*wired_sensors(scenario, rig), *datagram_sensors(scenario)] if parts.clock is not None else []
     for number, name in enumerate(kinds):
         if name in wired:
             memory.params.sensors.source[number].models = 0
-    sources = [*sample_sources(scenario), *parts.sample_sources]
     sink = parts.sinks.get("sensor_samples")
-    return SensorStage(memory, kinds, _seen_axes(devices, bench), sources, bench.safety.alarms, sink)
+    return SensorStage(memory, kinds, _seen_axes(devices, bench), parts.sample_sources, bench.safety.alarms, sink)
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

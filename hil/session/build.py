@@ -11,6 +11,7 @@ from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
 from hil.checks.faults import check_faults, check_sensors
 from hil.checks.lock_step import check_lock_step
+from hil.checks.observability import check_observability
 from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.core.camera_images import ImageSink
@@ -39,6 +40,7 @@ def check(job: Job) -> None:
         *(compatibility.check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
         *compatibility.check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
+        *check_observability(job.scenario, job.rig),
         *check_sensors(job.scenario, job.rig),
         *_rig_problems(job),
     ]

@@ -22,7 +22,8 @@ import numpy as np
 
 from hil.config.vmu_geometry import OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array, PoseFrame
-from hil.errors import BadInput, BenchError, DeviceError
+from hil.core.plug_ins import call, raised_text, wrong_return
+from hil.errors import BadInput
 
 GROUP: Final = "hil.pose_estimators"
 LED_RING: Final = "led_ring"
@@ -70,8 +71,10 @@ class PoseEstimate:
     def __post_init__(self) -> None:
         if self.status != "ok":
             return
-        for name, shape in (("t_v", (3,)), ("q_vt", (4,)), ("covariance", (6, 6))):
+        for name, shape in (("t_v", (3,)), ("q_vt", (4,)), ("covariance", (6, 6)), ("noise", (6, 6))):
             value = getattr(self, name)
+            if name == "noise" and value is None:
+                continue
             if np.shape(value) != shape or not np.isfinite(value).all():
                 raise ValueError(f"{name} of an ok estimate must be {shape} finite numbers, is {value}")
         if abs(float(np.linalg.norm(self.q_vt)) - 1.0) > _UNIT:  # type: ignore[arg-type]
@@ -119,7 +122,7 @@ def make_estimator(name: str, geometry: VmuGeometry, settings: Mapping[str, Any]
     except BadInput:
         raise
     except Exception as cause:
-        text = f'estimator "{name}" cannot be made: {type(cause).__name__}: {cause}'
+        text = f'estimator "{name}" cannot be made: {raised_text("", cause)}'
         raise BadInput.single("rig", "vmu.estimator_settings", text) from cause
 
 
@@ -148,15 +151,11 @@ def board_of(estimator: PoseEstimator) -> FlatTarget | None:
 
 
 def solve_pair(estimator: PoseEstimator, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> Solved:
-    """Return the result of ``estimator``; one that raises, or returns no pose as ``ok``, is a DeviceError."""
-    try:
-        return estimator.solve(left, right, t_s)
-    except BenchError:
-        raise
-    except Exception as cause:
-        raise DeviceError(
-            "vmu", f"pose estimator {type(estimator).__name__}: {type(cause).__name__}: {cause}"
-        ) from cause
+    """Return the result of ``estimator``. Raises PlugInError if it raises, or returns no result."""
+    solved = call("vmu", estimator.solve, left, right, t_s)
+    if not (isinstance(getattr(solved, "status", None), str) and callable(getattr(solved, "frame", None))):
+        raise wrong_return("vmu", estimator.solve, f"{solved!r:.60}, expected PoseEstimate")
+    return solved
 
 
 def led_ring(geometry: VmuGeometry, settings: Mapping[str, Any]) -> PoseEstimator:

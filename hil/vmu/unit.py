@@ -14,6 +14,7 @@ import numpy as np
 from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, Array, PoseFrame
+from hil.core.public import public
 from hil.maths import quat
 from hil.vmu import refusals
 from hil.vmu.consistency import Consistency
@@ -165,6 +166,7 @@ class Solution:
         return PoseFrame(counter, self.t_s, received_s, p.t_v, p.q_vt, covariance, bits[0], bits[1])
 
 
+@public
 class VisionUnit:
     """Solves stereo pairs one after the other, with a track between them. Not thread-safe.
 
@@ -191,6 +193,7 @@ class VisionUnit:
         self._swapped: VisionUnit | None = None
         self._swapped_tried, self._fits_opposite = 0, False
 
+    @public
     def solve(
         self, left: np.ndarray | None, right: np.ndarray | None, t_s: float, prediction: Prediction | None = None
     ) -> Solution:

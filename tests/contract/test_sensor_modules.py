@@ -164,7 +164,7 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
     rig = load_rig("mock")
     for texts, key, reason in (
         (settings("lidr"), "sensors.s.kind", "did you mean lidar?"),
-        (settings("lidar", "sensors.s.sigma=1.0"), "sensors.s.sigma", "did you mean sigma_range_m?"),
+        (settings("lidar", "sensors.s.sigma=1.0"), "sensors.s.sigma", "did you mean sigma_range_m"),
         (settings("lidar", "sensors.s.sigma_range_m=-1.0"), "sensors.s.sigma_range_m", "must be 1e-05 to 10 m"),
         (settings("lidar", "sensors.s.rate_hz=200.0"), "sensors.s.rate_hz", "at most one measurement per cycle"),
         (settings("lidar", "sensors.s.latency_s=1.0", "gnc.navigation.memory_s=0.5"), "sensors.s.latency_s",

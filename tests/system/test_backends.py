@@ -318,6 +318,29 @@ def test_failed_step_stops_the_bench_and_the_case_with_the_same_words(change: st
     assert [alarm.text for alarm in one.alarms] == [alarm.text for alarm in session.alarms]
 
 
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        (
+            "out.force[:] = out.on[:2]",
+            "could not broadcast input array from shape (2,) into shape (3,) (law.py, line 6)",
+        ),
+        ("out.on[30 * inp.mode] = 1", "index 60 is out of bounds for axis 0 with size 24 (law.py, line 6)"),
+        (
+            "out.on[:] = out.on[:16]",
+            "could not broadcast input array from shape (16,) into shape (24,) (law.py, line 6)",
+        ),
+    ],
+    ids=["two demands", "index", "16 of 24"],
+)
+def test_value_of_another_shape_in_a_kernel_stops_the_bench_with_its_line(body: str, text: str, tmp_path: Path) -> None:
+    settings = named(control=kernel_file(tmp_path, body))
+    one, session, (_, stop) = flown(settings, 4.0), flown(settings, 4.0, compiled=True), case(settings, 4.0)
+    assert one.stop.startswith("control law: step raised ")
+    assert text in one.stop
+    assert one.stop == session.stop == stop.replace(" (case)", "")
+
+
 def test_text_of_a_backend_is_an_event_and_it_can_ask_for_a_hold(tmp_path: Path) -> None:
     said = (
         'output->valid = m->started; => output->valid = m->started; if (input->t_s > 1.0) strcpy(output->text, "in");'

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support import example_driver
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
@@ -30,3 +32,16 @@ def test_loop_is_closed_through_a_driver_that_an_entry_point_provides(tmp_path: 
     assert result["stop"] == "completed"
     assert result["vision"]["frames"] > 25
     assert max(result["bench"]["rail_error_max_m"]) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("rig", "text"),
+    [("none.toml", "none.toml: "), ("mock", "--driver-rig: mock: has no axes on wires"), ("lab", "lab: unknown rig")],
+)
+def test_contract_tests_refuse_a_rig_without_a_driver(rig: str, text: str) -> None:
+    suite = Path(__file__).resolve().parents[1] / "contract" / "test_axis_group.py"
+    options = ("-n", "0", "-p", "no:cacheprovider", "--collect-only", "--driver-rig", rig)
+    command = [sys.executable, "-m", "pytest", str(suite), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False, cwd=suite.parents[2])
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert text in done.stderr

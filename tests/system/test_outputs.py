@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -123,7 +124,7 @@ def test_closed_and_full_standard_output_do_not_read_as_a_verdict() -> None:
     code, err = ended("{hil} > /dev/full")
     assert (code, err.splitlines()[-1]) == (BAD_INPUT, "standard output: cannot be written: No space left on device")
     code, err = ended("{hil} | true; exit ${{PIPESTATUS[0]}}")
-    assert (code, err.splitlines()[-1]) == (BAD_INPUT, "standard output: cannot be written: Broken pipe")
+    assert (code, "pipe" in err) == (128 + signal.SIGPIPE, False)
     code, err = ended("{hil} >&-")
     assert code == FAILED  # the verdict of a tenth of a second
     assert "Traceback" not in err

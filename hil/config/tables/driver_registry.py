@@ -23,10 +23,11 @@ from pydantic import BaseModel, field_validator, model_validator
 
 from hil.config.tables.model import ConfigModel
 from hil.config.tables.open_table import OpenTable, model_of_field
-from hil.errors import BadInput
+from hil.core.plug_ins import plug_in_error, raised_text
+from hil.errors import BadInput, HilError
 
 Device = Literal["rails", "turntable", "vmu", "io"]
-WireKind = Literal["serial", "tcp", "can", "camera", "other"]
+WireKind = Literal["serial", "tcp", "udp", "can", "camera", "other"]
 
 GROUP: Final = "hil.drivers"
 _PACKAGE: Final = "hil"
@@ -36,6 +37,7 @@ _BUILT_IN: Final = {
     "turntable.cia402": "hil.drivers.turntable.cia402.entry:ENTRY",
     "turntable.ascii": "hil.drivers.turntable.ascii.entry:ENTRY",
     "vmu.rs422": "hil.drivers.vmu.entry:ENTRY",
+    "vmu.udp": "hil.drivers.vmu.entry:DATAGRAMS",
     "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
     "io.modbus": "hil.drivers.io.entry:ENTRY",
 }
@@ -55,30 +57,30 @@ class Wire:
     @property
     def required_key(self) -> str:
         """The key that must be given for the driver to open this wire."""
-        return f"{self.key}.port" if self.kind == "tcp" else self.key
+        return f"{self.key}.port" if self.kind in ("tcp", "udp") else self.key
 
 
 @dataclass(frozen=True, slots=True)
 class WireKey:
     """Key of a device's table that holds the address of one wire, and what an emulator sets there.
 
-    key: of a serial port, CAN channel or camera, for "tcp" of the table with ``host`` and ``port``. name: of the
-    address that the emulator reports, ``DEVICE.NAME``, ``DEVICE`` if empty. emulated: further keys of the same table
-    that are set for an emulator.
+    key: of a serial port, CAN channel or camera, for "tcp" and "udp" of the table with ``host`` and ``port``, with
+    "udp" those of this computer on which datagrams are received. name: of the address that the emulator reports,
+    ``DEVICE.NAME``, ``DEVICE`` if empty. emulated: further keys of the same table that are set for an emulator.
     """
 
     key: str
-    kind: Literal["serial", "tcp", "can", "camera"]
+    kind: Literal["serial", "tcp", "udp", "can", "camera"]
     name: str = ""
     emulated: Mapping[str, Any] = field(default_factory=dict)
 
     def wire(self, table: ConfigModel) -> Wire:
         """Return the wire as ``table`` configures it."""
         *parents, last = self.key.split(".")
-        if self.kind == "tcp":
+        if self.kind in ("tcp", "udp"):
             model = _inner(table, [key for key in (*parents, last) if key])
             port = getattr(model, "port", None)
-            return Wire(self.key, "tcp", None if port is None else f"{getattr(model, 'host', '')}:{port}")
+            return Wire(self.key, self.kind, None if port is None else f"{getattr(model, 'host', '')}:{port}")
         model = _inner(table, parents)
         kind: WireKind = "camera" if self.kind == "camera" else "serial"
         if self.kind == "can":
@@ -92,7 +94,7 @@ class WireKey:
     def connected(self, table: Any, address: str) -> Any:
         """Return ``table`` with the address that the emulator reports."""
         *parents, last = self.key.split(".")
-        if self.kind == "tcp":
+        if self.kind in ("tcp", "udp"):
             host, _, port = address.rpartition(":")
             path = [key for key in (*parents, last) if key]
             return _updated(table, path, {"host": host, "port": int(port), **self.emulated})
@@ -202,6 +204,16 @@ def _imported(path: str) -> Any:
     return getattr(import_module(module), name)
 
 
+def _made(device: str, path: str, *args: Any, **kwargs: Any) -> Any:
+    """Return what the factory ``path`` makes. Raises DeviceError for what it raises, HilError as it is."""
+    try:
+        return _imported(path)(*args, **kwargs)
+    except HilError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise plug_in_error(device, error) from error
+
+
 class DeviceTable(OpenTable):
     """Table of a device in a rig file. ``driver`` selects the driver, whose own settings are in ``[DEVICE.DRIVER]``.
 
@@ -220,6 +232,11 @@ class DeviceTable(OpenTable):
         return self.driver not in self.without_wires
 
     @property
+    def is_plug_in(self) -> bool:
+        """Whether the device is reached by a driver of another package."""
+        return self.has_wires and f"{self.device}.{self.driver}" not in _BUILT_IN
+
+    @property
     def entry(self) -> DriverEntry:
         """The entry of the selected driver; ValueError for a device without one."""
         return driver_entry(self.device, self.driver)
@@ -234,13 +251,15 @@ class DeviceTable(OpenTable):
         for wire in self.wires(self.device):
             if wire.address is None:
                 raise BadInput.single("rig", wire.required_key, "is missing: the wire to the device")
-        return _imported(self.entry.driver)(self, *args, **kwargs)
+        name = next((each for each in args if isinstance(each, str)), self.device)
+        return _made(name, self.entry.driver, self, *args, **kwargs)
 
     def make_emulator(self, *args: Any, **kwargs: Any) -> Any:
         """Return the emulator of the selected driver for this table; imports it. Raises BadInput if there is none."""
         if self.entry.emulator is None:
             raise BadInput.single("rig", f"{self.device}.driver", f'"{self.driver}": this driver has no emulator')
-        return _imported(self.entry.emulator)(self, *args, **kwargs)
+        name = kwargs.get("name", self.device)
+        return _made(f"{name} emulator", self.entry.emulator, self, *args, **kwargs)
 
     @property
     def wire_keys(self) -> list[WireKey]:
@@ -250,7 +269,13 @@ class DeviceTable(OpenTable):
     def check_driver(self) -> None:
         """Raise ValueError if the selected driver cannot work with this table."""
         if self.has_wires:
-            self.entry.check(self)
+            try:
+                self.entry.check(self)
+            except (ValueError, HilError):
+                raise
+            except Exception as error:
+                text = f'"{self.driver}": the check of its entry failed: {raised_text("", error)}'
+                raise ValueError(text) from error
 
     def wires(self, prefix: str = "") -> list[Wire]:
         """Return the wires that the selected driver opens; prefix: key of this table."""

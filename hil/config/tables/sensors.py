@@ -45,11 +45,14 @@ class SensorConfig(ConfigModel):
     """Of a measurement that never arrives."""
     source: Literal["model", "udp"] = "model"
     """"model": modelled, or, unless the rig is a mock, on the serial wire that its kind has; "udp": datagrams from a
-    program of your own. See [Sensors](../../how-to/add-a-sensor.md)."""
+    program of your own, in memory modelled, in lock-step emulated. See [Sensors](../../how-to/add-a-sensor.md)."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """UDP port of this computer on which datagrams arrive, for `source = "udp"`."""
     host: str = "127.0.0.1"
     """Address of this computer on which they are received."""
+    frames: str | None = None
+    """Frame file of datagrams that are poses, binary or of text, as those of a vision unit: `t` is H, `v` the chaser's
+    axes c, and `position` that of the tracked point in H; unless set, they are JSON."""
     stamp: Literal["capture", "receipt"] | None = None
     """What the time of a datagram means: the moment of the measurement on the bench's clock, or nothing, and
     `latency_s` before its receipt is taken. It must be given for `source = "udp"`; "receipt" for a serial wire of
@@ -58,7 +61,11 @@ class SensorConfig(ConfigModel):
     @model_validator(mode="after")
     def _source_is_complete(self) -> Self:
         if self.source == "model":
+            if self.frames is not None:
+                raise ValueError('frames: of datagrams, source = "udp"')
             return self
+        if self.frames is not None and self.kind != "pose":
+            raise ValueError(f'frames: of poses, kind = "pose", here "{self.kind}"')
         if self.port is None:
             raise ValueError('source = "udp" needs port: on which datagrams are received')
         if self.stamp is None:

@@ -16,10 +16,12 @@ from hil.core.clock import WallClock
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.frame_memory import frame_of, frame_ring
 from hil.drivers.cameras.pairing import Pairing, TimedFrame
-from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
+from hil.errors import DeviceError, LinkLost, LinkTimeout, PlugInError, ProtocolError
 
 _READY_WALL_S: Final = 20.0
-_KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
+_KINDS: Final[dict[str, type[DeviceError]]] = {
+    kind.__name__: kind for kind in (LinkLost, LinkTimeout, PlugInError, ProtocolError)
+}
 
 
 class CameraProcesses:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
 from hil.errors import DeviceError, LinkLost, LinkTimeout
 
+log = logging.getLogger("hil")
 SILENCE_MAX_S = 0.1
 """Wall time without a heartbeat of the serving process after which its devices count as lost."""
 _BEAT_WALL_S = 0.004  # between two heartbeats, and two looks at that of the process: a cycle may be shorter
@@ -28,17 +30,25 @@ _LOSSES = ("lost", "retries", "crc_errors", "protocol_errors")
 class IoLink:
     """Link to a serving process, shared by its devices: memory, requests and heartbeat.
 
-    name: IO or WATCHDOG. exit_status: returns how the process ended, "" while it runs.
+    name: IO or WATCHDOG. end_text: returns how the process ended and why, "" while it runs. plug_ins: devices whose
+    drivers in the process are of other packages.
     """
 
     def __init__(
-        self, name: str, memory: IoSharedMemory, requests: IoRequests, clock: BenchClock, exit_status: Callable[[], str]
+        self,
+        name: str,
+        memory: IoSharedMemory,
+        requests: IoRequests,
+        clock: BenchClock,
+        end_text: Callable[[], str],
+        plug_ins: Sequence[str] = (),
     ) -> None:
         self.memory = memory
         self.requests = requests
         self.clock = clock
         self._name = name
-        self._exit_status = exit_status
+        self._end_text = end_text
+        self._plug_ins = list(plug_ins)
         self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._beat_s = _BEAT_WALL_S * clock.speed
         self._sent_s = self._checked_s = -math.inf
@@ -56,15 +66,23 @@ class IoLink:
         """Raise LinkLost for ``device`` if its process has ended or is silent."""
         if now_s - self._checked_s < self._beat_s:
             return
-        if ended := self._exit_status():
-            raise LinkLost(device, f"{self._name} process {ended}")
+        if ended := self._end_text():
+            raise self._lost(device, ended)
         _, beat_s = self.memory.block[self._name].read(self._heartbeat)
         age_s = (now_s - beat_s) / self.clock.speed
         if age_s > SILENCE_MAX_S:
-            raise LinkLost(
-                device, f"{self._name} process has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s"
-            )
+            raise self._lost(device, f"has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
         self._checked_s = now_s
+
+    def _lost(self, device: str, what: str) -> LinkLost:
+        """Return the error of a lost process: of the device whose driver it was calling, otherwise of ``device``."""
+        calls = self.memory.calls_of(self._name)
+        if calls:
+            device, _, called = calls[-1].partition(" ")
+            return LinkLost(device, f"{self._name} process {what}, calling {called}")
+        if self._plug_ins and device not in self._plug_ins:
+            device = self._plug_ins[0]
+        return LinkLost(device, f"{self._name} process {what}")
 
     def wake(self) -> None:
         """Let the process start its next period at once."""
@@ -117,7 +135,8 @@ class _RemoteDevice:
         self._is_open = False
         with contextlib.suppress(DeviceError):
             self._link.check(self.name, self._link.clock.now_s())
-            self._link.requests.request("close", self.name, _CLOSE_WALL_S)
+            if failure := self._link.requests.request("close", self.name, _CLOSE_WALL_S).get("failure"):
+                log.error("%s: %s", *failure[1:3])
 
 
 class RemoteAxes(_RemoteDevice):

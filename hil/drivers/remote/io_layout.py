@@ -13,8 +13,18 @@ from typing import Final
 
 import numpy as np
 
+from hil.core import plug_ins
 from hil.core.messages import MAX_THRUSTERS, VMU_FRAME, AxisFeedback, Homing, IoInputs, IoOutputs
-from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
+from hil.errors import (
+    BenchError,
+    DeviceError,
+    DriveFault,
+    FaultKind,
+    LinkLost,
+    LinkTimeout,
+    PlugInError,
+    ProtocolError,
+)
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 
@@ -49,6 +59,8 @@ QUICK_STOP, DISABLE = 1, 2
 FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512"), ("fault", "S16")])
 """fault: value of the FaultKind of a DriveFault."""
 COUNTERS: Final = np.dtype([("text", "S1024")])
+CALLS: Final = np.dtype([("text", "S256")])
+"""Calls of plug-ins under way in IO or WATCHDOG, as ``hil.core.plug_ins`` notes them."""
 INPUTS: Final = np.dtype(
     [
         ("t_s", "f8"),
@@ -71,7 +83,9 @@ OUTPUTS: Final = np.dtype(
     ]
 )
 _FRAMES: Final = 256
-_KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
+_KINDS: Final[dict[str, type[DeviceError]]] = {
+    kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError, PlugInError)
+}
 
 
 def layout(held: Mapping[str, int] = {}) -> dict[str, np.dtype]:
@@ -82,6 +96,7 @@ def layout(held: Mapping[str, int] = {}) -> dict[str, np.dtype]:
         LOOP: HEARTBEAT,
         IO: HEARTBEAT,
         WATCHDOG: HEARTBEAT,
+        **{f"{name}.calls": CALLS for name in (IO, WATCHDOG)},
         **{f"{device}.setpoint": setpoint_record(n) for device, n in axes.items()},
         **{f"{device}.feedback": feedback_record(n) for device, n in axes.items()},
         **{f"{device}.stop": STOP for device in (*axes, "io")},
@@ -116,6 +131,17 @@ class IoSharedMemory:
     @property
     def descriptors(self) -> tuple[int, int, int, int]:
         return self.block.descriptor, self.frames.descriptor, self.wakes[IO], self.wakes[WATCHDOG]
+
+    def note_calls(self, name: str) -> None:
+        """Keep the calls of plug-ins under way in this process, ``name``, where the loop can read them."""
+        calls = self.block[f"{name}.calls"]
+        plug_ins.note_calls(lambda text: calls.write(np.array([(text.encode()[:256],)], CALLS), 0.0))
+
+    def calls_of(self, name: str) -> list[str]:
+        """Return the calls under way in the process ``name``, as ``hil.core.plug_ins.note_calls`` has them."""
+        record = np.zeros(1, CALLS)
+        self.block[f"{name}.calls"].read(record)
+        return [text for text in str(record["text"][0].decode(errors="replace")).split("; ") if text]
 
     def close(self) -> None:
         """Release the memory; idempotent."""

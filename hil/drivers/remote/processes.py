@@ -15,6 +15,7 @@ from hil.drivers.base import AxisGroup, DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import HEARTBEAT, IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
+from hil.drivers.vmu.absent import AbsentVmu
 
 _READY_WALL_S: Final = 60.0
 _ORDERS: Final = {IO: Order.IO, WATCHDOG: Order.WATCHDOG}
@@ -47,7 +48,9 @@ class _ChildLink:
         finally:
             there.close()
         self.requests = IoRequests(here, name, clock)
-        self.link = IoLink(name, memory, self.requests, clock, self.child.exit_status)
+        served = {"io": rig.io} if name == WATCHDOG else {**rig.axis_groups, "vmu": rig.vmu}
+        plug_ins = [device for device, table in served.items() if table is not None and table.is_plug_in]
+        self.link = IoLink(name, memory, self.requests, clock, self.child.end_text, plug_ins)
 
 
 class IoProcesses:
@@ -71,9 +74,14 @@ class IoProcesses:
             raise
 
     @property
+    def children(self) -> dict[str, ChildProcess]:
+        """Processes IO and, if there is one, WATCHDOG."""
+        return {name: process.child for name, process in self._processes.items()}
+
+    @property
     def pids(self) -> dict[str, int]:
-        """Process numbers of IO and, if there is one, WATCHDOG."""
-        return {name: process.child.pid for name, process in self._processes.items()}
+        """Their process numbers."""
+        return {name: child.pid for name, child in self.children.items()}
 
     def pauses(self) -> dict[str, float]:
         """Return the last pause of each process by the host, s, as it was at its last heartbeat; 0 without one."""
@@ -82,6 +90,10 @@ class IoProcesses:
             self._memory.block[name].read(heartbeat)
             pauses[f"the {name} process"] = float(heartbeat["pause_s"][0])
         return pauses
+
+    def calls(self, name: str) -> list[str]:
+        """Return the calls of plug-ins under way in IO or WATCHDOG, or in which it has ended."""
+        return self._memory.calls_of(name)
 
     def wait_ready(self) -> None:
         """Return once all serve. Raises DeviceError if one does not start."""
@@ -98,11 +110,18 @@ class IoProcesses:
         return (
             RemoteAxes("rails", rig.rails, link, wakes=False),  # the turntable's setpoint follows at once
             RemoteTurntable("turntable", rig.turntable, link),
-            rig.vmu.make_driver(self._clock) if rig.vmu.entry.has_processes else RemotePoses(rig.vmu, link),
+            self._poses(link),
             lines,
             RemoteAxes("target", rig.target_axes, link) if rig.target_axes is not None else None,
             {name: RemoteAxes(name, table, link) for name, table in rig.held_axes.items()},
         )
+
+    def _poses(self, link: IoLink) -> PoseSource:
+        vmu = self._rig.vmu
+        if not self._rig.has_vmu:
+            return AbsentVmu()
+        made: PoseSource = vmu.make_driver(self._clock) if vmu.entry.has_processes else RemotePoses(vmu, link)
+        return made
 
     def close(self) -> None:
         """End the processes. Idempotent."""

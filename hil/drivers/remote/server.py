@@ -12,6 +12,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from hil.core.clock import BenchClock, HostPauses, Order, WallClock, pause_text
+from hil.core.plug_ins import call, is_of, plug_in_error
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
@@ -104,14 +105,19 @@ class DeviceServer:
             periods += 1
             if periods % _COUNTERS_EVERY == 0:
                 for name in tuple(self.served):
-                    self._write_counters(name, now_s)
+                    try:
+                        self._write_counters(name, now_s)
+                    except BenchError as error:
+                        self.fail(name, error, now_s)
 
     def close(self) -> None:
-        """Stop and close all devices."""
+        """Stop and close all devices; one that raises does not keep the others from it."""
         self.clock.release()
-        self.stop_all(self.clock.now_s())
-        for device in self._devices.values():
-            device.close()
+        with contextlib.suppress(BenchError):
+            self.stop_all(self.clock.now_s())
+        for name, device in self._devices.items():
+            with contextlib.suppress(BenchError):
+                call(name, device.close)
 
     def step(self, now_s: float) -> None:
         """Do the work of one period."""
@@ -140,19 +146,33 @@ class DeviceServer:
         self._stops[device], _ = box.read(self._stop)
         return int(self._stop["kind"][0])
 
-    def stop_in_thread(self, stop: Stop, now_s: float) -> None:
-        """Call ``stop`` in a thread: it may take longer than a period, and the heartbeat must continue."""
-        self.clock.start_thread(lambda: stop(now_s), "stop", Order.REQUESTS)
+    def stop_in_thread(self, name: str, stop: Stop, now_s: float) -> None:
+        """Call ``stop`` of a device in a thread: it may take longer than a period, and the heartbeat must continue."""
+
+        def run() -> None:
+            try:
+                call(name, stop, now_s)
+            except BenchError as error:
+                self.fail(name, error, now_s)
+
+        self.clock.start_thread(run, "stop", Order.REQUESTS)
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Report the failure to the loop; the device is not served any more until it is opened again."""
         self.served.discard(name)
         self.memory.block[f"{name}.failure"].write(io_layout.failure_record(error, name), now_s)
 
+    def report_thread(self, error: BaseException) -> bool:
+        """Report what a thread of a device has raised and not caught; return whether it is of one."""
+        name = next((name for name, device in self._devices.items() if is_of(device, error)), None)
+        if name is not None:
+            self.fail(name, plug_in_error(name, error), self.clock.now_s())
+        return name is not None
+
     def _write_counters(self, name: str, now_s: float) -> None:
         count = getattr(self._devices[name], "counters", None)
         if count is not None:
-            self.memory.block[f"{name}.counters"].write(io_layout.counters_record(count()), now_s)
+            self.memory.block[f"{name}.counters"].write(io_layout.counters_record(call(name, count)), now_s)
 
     def _handle_requests(self) -> None:
         """Answer requests one after the other, until the loop closes its end of the socket."""
@@ -166,15 +186,15 @@ class DeviceServer:
         try:
             if do == "open":
                 self.served.discard(name)
-                device.open(now_s)
+                call(name, device.open, now_s)
                 self.on_opened(name)
                 self.served.add(name)
             elif do == "close":
                 self.served.discard(name)
                 self._write_counters(name, now_s)
-                device.close()
+                call(name, device.close)
             elif do == "home":
-                device.home(now_s)  # type: ignore[attr-defined]
+                call(name, device.home, now_s)  # type: ignore[attr-defined]
         except BenchError as error:
             record = io_layout.failure_record(error, name)
             return {"failure": [field.decode(errors="replace") for field in record[0]]}

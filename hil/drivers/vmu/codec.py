@@ -58,11 +58,14 @@ def _is_covariance(covariance: Array) -> bool:
     return linear.eigenvalues(covariance / np.outer(sigma, sigma))[0] > -_EIGENVALUE_TOLERANCE
 
 
-def checked_pose(pose: PoseFrame) -> Decoded | None:
-    """Return ``pose`` as the content of an intact frame, None for an impossible one; its quaternion is a unit one."""
+def checked_pose(pose: PoseFrame, by_camera: bool = True) -> Decoded | None:
+    """Return ``pose`` as the content of an intact frame, None for an impossible one; its quaternion is a unit one.
+
+    by_camera: it is that of a target in front of a camera, rather than of a tracked body.
+    """
     if not all(np.isfinite(part).all() for part in (pose.t_v, pose.q_vt, pose.covariance)):
         return None
-    if not 0.0 < pose.t_v[2] <= RANGE_MAX_M or linear.length(pose.t_v) > RANGE_MAX_M:
+    if (by_camera and not 0.0 < pose.t_v[2] <= RANGE_MAX_M) or linear.length(pose.t_v) > RANGE_MAX_M:
         return None  # behind the cameras or farther than any bench is long
     if not _is_covariance(pose.covariance):
         return None

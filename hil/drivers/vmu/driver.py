@@ -6,9 +6,7 @@ import contextlib
 import threading
 from collections import deque
 from dataclasses import replace
-from typing import Final
-
-import serial
+from typing import Any, Final
 
 from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import BenchClock
@@ -17,6 +15,7 @@ from hil.drivers.latest import Latest
 from hil.drivers.serial_port import open_serial
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
+from hil.drivers.vmu.entry import frames_of
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.drivers.vmu.unit_clock import UnitClock
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
@@ -43,16 +42,19 @@ class Rs422Vmu:
     fastest frames: the smallest recent difference of reception and time stamp, less line time and ``processing_s``.
     """
 
+    _of_datagrams = False
+
     def __init__(self, config: Vmu, clock: BenchClock) -> None:
         self.name = NAME
         self._timeout_s = config.timeout_s
         self._line = config.rs422 or VmuLine()
-        self._codec = frame_codec(self._line.frames)
+        self._codec = frame_codec(frames_of(config))
         self._expected = config.identity
         self._own_clock = config.clock == "own"
         self._fastest_s = config.processing_s + _BITS_PER_BYTE * self._codec.size / self._line.baud
         self._clock = clock
-        self._port: serial.Serial | None = None
+        self._address = self._line.port
+        self._port: Any = None
         self._reader: threading.Thread | None = None
         self._reset(0.0)
 
@@ -64,7 +66,7 @@ class Rs422Vmu:
         self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
         self._offsets: deque[float] = deque(maxlen=_HISTORY)  # reception less time stamp
         self._clock_offset = UnitClock(self._fastest_s)
-        self._decoder = FrameDecoder(self._codec)
+        self._decoder: FrameDecoder = self._codec.decoder(self._of_datagrams)
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
 
@@ -76,16 +78,13 @@ class Rs422Vmu:
         """
         self.close()
         self._reset(now_s)
-        if self._line.port is None:
+        if self._address is None:
             raise LinkLost(self.name, "rs422.port is not set")
         try:
-            # pending bytes, which it discards, have an unknown time of reception
-            self._port = open_serial(
-                self._clock, self._line.port, self._line.baud, timeout=_READ_WALL_S, exclusive=True
-            )
+            self._port = self._open_port()
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             self.close()
-            raise LinkLost(self.name, f"cannot open {self._line.port}: {cause}") from cause
+            raise LinkLost(self.name, f"cannot open {self._address}: {cause}") from cause
         self._received.put(True, now_s)
         port = self._port
         self._reader = self._clock.start_thread(lambda: self._read(port), "vmu-reader")
@@ -94,6 +93,10 @@ class Rs422Vmu:
         except DeviceError:
             self.close()
             raise
+
+    def _open_port(self) -> Any:
+        """Return the open port; pending bytes, which it discards, have an unknown time of reception."""
+        return open_serial(self._clock, self._line.port or "", self._line.baud, timeout=_READ_WALL_S, exclusive=True)
 
     def _check_identity(self, now_s: float) -> None:
         """Wait for the identity frame and check it, if the rig file requires an identity."""
@@ -155,7 +158,7 @@ class Rs422Vmu:
         seen = ", ".join(f"{name} {count}" for name, count in self._counted().items() if count)
         return f" (since open: {seen})" if seen else ""
 
-    def _read(self, port: serial.Serial) -> None:
+    def _read(self, port: Any) -> None:
         try:
             while not self._ending.is_set():
                 data = port.read(max(1, port.in_waiting))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.load import load_frame
-from hil.config.rig import Vmu, VmuLine
+from hil.config.rig import Vmu, VmuDatagrams, VmuLine
 from hil.config.tables.cameras import VisionCameras
 from hil.config.tables.driver_registry import DriverEntry, WireKey
 from hil.errors import BadInput
@@ -13,8 +13,14 @@ from hil.errors import BadInput
 _BITS_PER_BYTE: Final = 10
 
 
+def frames_of(vmu: Vmu) -> str:
+    """Return the name or path of the frame file of a unit on a serial line or on UDP."""
+    frames: str = vmu.settings.frames if vmu.driver == DATAGRAMS.name else (vmu.rs422 or VmuLine()).frames
+    return frames
+
+
 def _check_files(vmu: Vmu) -> list[str]:
-    frame = load_frame((vmu.rs422 or VmuLine()).frames)
+    frame = load_frame(frames_of(vmu))
     if frame.value.identity_sync is None and any(text is not None for text in vmu.identity.model_dump().values()):
         raise BadInput.single("rig", "vmu.identity", f'frames "{frame.value.name}" have no identity: omit the table')
     return frame.value.warnings()
@@ -37,6 +43,18 @@ ENTRY: Final = DriverEntry(
     check_files=_check_files,
     identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
     setpoints_hz=_frames_hz,
+    keeps_bench_time=lambda table: True,
+)
+
+DATAGRAMS: Final = DriverEntry(
+    "vmu",
+    "udp",
+    driver="hil.drivers.vmu.datagrams:UdpVmu",
+    emulator="hil.parts.emulation.vision_unit:UdpVmuEmulator",
+    settings=VmuDatagrams,
+    wires=[WireKey("udp", "udp")],
+    check_files=_check_files,
+    identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
     keeps_bench_time=lambda table: True,
 )
 

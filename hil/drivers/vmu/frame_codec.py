@@ -1,4 +1,4 @@
-"""Frames of a vision unit by a frame file: bytes <-> numbers."""
+"""Binary frames of a vision unit by a frame file: bytes <-> numbers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FrameCodec:
 
     def __init__(self, frame: VmuFrame) -> None:
         self.frame = frame
-        self.sync = bytes.fromhex(frame.sync)
+        self.sync = bytes.fromhex(frame.sync or "")
         self._names = {field.name for field in frame.fields}
         self._order = "<" if frame.byte_order == "little" else ">"
         self.body = struct.Struct(self._order + "".join(field.count * _STRUCT[field.type] for field in frame.fields))
@@ -91,13 +91,14 @@ class FrameCodec:
         return data + self._checksum_of(data)
 
     def _pack(self, counter: int, t_s: float, values: dict[str, object], status: int) -> bytes:
-        values = {"counter": counter, "time": t_s, "status": status} | values
+        return self._bytes_of({"counter": counter, "time": t_s, "status": status} | values)
+
+    def _bytes_of(self, values: dict[str, object]) -> bytes:
+        """Return the frame with the SI ``values`` of its fields."""
         numbers: list[float] = []
         for field in self.frame.fields:
-            given = field.value if field.name == "constant" else values.get(field.name, 0)
             wraps = field.name in ("counter", "time", "leds_left", "leds_right")
-            each = _raw(np.broadcast_to(np.asarray(given, dtype=float), field.count), field)
-            numbers += [_on_wire(float(value), field.type, wraps) for value in each]
+            numbers += [_on_wire(value, field.type, wraps) for value in raw_numbers(field, values)]
         data = self.sync + self.body.pack(*numbers)
         return data + self._checksum_of(data)
 
@@ -108,6 +109,10 @@ class FrameCodec:
         if first is None:
             first = 0 if self.frame.checksum.covers_sync else len(self.sync)
         return self._checksum.pack(self._sum(data[first:]))
+
+    def decoder(self, of_datagrams: bool = False, by_camera: bool = True) -> FrameDecoder:
+        """Return a decoder of the frames. of_datagrams: each of which has whole frames. by_camera: ``checked_pose``."""
+        return FrameDecoder(self, by_camera)
 
     def is_intact(self, raw: bytes) -> bool:
         """Return whether the checksum of a frame of ``size`` bytes is right."""
@@ -122,7 +127,8 @@ class FrameDecoder:
     other data hides an intact frame.
     """
 
-    def __init__(self, frames: FrameCodec) -> None:
+    def __init__(self, frames: FrameCodec, by_camera: bool = True) -> None:
+        self._by_camera = by_camera
         self.crc_errors = 0
         self.skipped_bytes = 0
         self.invalid = 0  # right checksum, impossible content
@@ -203,7 +209,7 @@ class FrameDecoder:
                 k += field.count
                 if field.name == "constant" and part[0] != field.value:
                     return None
-                numbers[field.name] = _si(np.array(part, dtype=float), field)
+                numbers[field.name] = si_numbers(np.array(part, dtype=float), field)
         return numbers if self._is_intact(raw) else None
 
     def _decode(self, values: dict[str, Array], received_s: float) -> Decoded | None:
@@ -220,9 +226,8 @@ class FrameDecoder:
         leds = [int(values[name][0]) if name in values else 0 for name in ("leds_left", "leds_right")]
         covariance = self._covariance(values)
         quality = STATUS_GOOD if status == frame.status.good else POSITION_ONLY
-        return checked_pose(
-            PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], quality)
-        )
+        pose = PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], quality)
+        return checked_pose(pose, self._by_camera)
 
     def _quaternion(self, values: dict[str, Array]) -> Array | None:
         """Return q_vt (4,), None if the numbers are no rotation."""
@@ -291,12 +296,15 @@ def _with_sense(q: Array, frame: VmuFrame) -> Array:
     return q if frame.rotation == "v_to_t" else q * (-1.0, -1.0, -1.0, 1.0)
 
 
-def _raw(values: Array, field: FrameField) -> Array:
-    """Return the numbers on the wire of SI ``values``, not yet rounded."""
-    return values * field.inverse if field.inverse else values / field.scale
+def raw_numbers(field: FrameField, values: dict[str, object]) -> list[float]:
+    """Return the numbers on the wire of the SI ``values`` of a field, not yet rounded; 0 for one without."""
+    given = field.value if field.name == "constant" else values.get(field.name, 0)
+    each = np.broadcast_to(np.asarray(given, dtype=float), field.count)
+    raw: list[float] = (each * field.inverse if field.inverse else each / field.scale).tolist()
+    return raw
 
 
-def _si(numbers: Array, field: FrameField) -> Array:
+def si_numbers(numbers: Array, field: FrameField) -> Array:
     """Return the SI values of ``numbers`` on the wire; a decimal scale divides, which rounds once."""
     return numbers / field.inverse if field.inverse else numbers * field.scale
 
@@ -335,4 +343,7 @@ def euler_angles(rotation: Array, sequence: str) -> Array:
 @cache
 def frame_codec(name: str = "hil") -> FrameCodec:
     """Return the codec of the frames ``name``, as in ``VmuLine``. Raises BadInput."""
-    return FrameCodec(load_frame(name).value)
+    from hil.drivers.vmu.text_codec import TextFrameCodec
+
+    frame = load_frame(name).value
+    return FrameCodec(frame) if frame.text is None else TextFrameCodec(frame)

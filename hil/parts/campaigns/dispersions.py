@@ -7,7 +7,6 @@ campaign have the same one. Latin hypercubes therefore come in blocks of
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import warnings
@@ -24,7 +23,7 @@ from hil.config.scenario import Scenario
 from hil.config.tables.dispersions import TABLES, FaultDispersion, Number, Spread
 from hil.config.tables.faults import AXES
 from hil.core.messages import Array
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput, Problem, did_you_mean
 from hil.maths import linear
 from hil.maths.normals import Generator
 from hil.maths.random_streams import MixedSeed, generator_of, noise_source
@@ -249,9 +248,7 @@ def _leaves(
         here = (*path, key)
         if not isinstance(table, dict) or key not in table:
             keys = sorted(table) if isinstance(table, dict) else []
-            close = difflib.get_close_matches(key, keys, n=1)
-            hint = f"did you mean {close[0]}? " if close else ""
-            name = f"dispersions.{'.'.join(here)}"
+            hint, name = did_you_mean(key, keys), f"dispersions.{'.'.join(here)}"
             problems.append(
                 Problem(scenario.where(name), name, f"unknown key: {hint}known here: {', '.join(keys) or 'none'}")
             )

@@ -32,6 +32,9 @@ def check_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, prom
 
     Raises DeviceError; LinkTimeout if no pose arrives, with the number of frames without one.
     """
+    if not rig.has_vmu:
+        prompt.show("vmu: none")
+        return
     source = runner.source
     source.open(runner.now_s())
     start_s = now_s = sequencer.begin().now_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from pathlib import Path
 
 from rich.console import Console
@@ -12,6 +13,7 @@ from hil.cli.options import Settings
 from hil.errors import BadInput
 
 _CAMERAS = "cameras"
+_CHECK_S = 0.2
 
 
 def emulate(
@@ -97,7 +99,13 @@ def _emulate_rig(rig: str, scenario: str, settings: Settings, speed: float) -> i
             console.print(f"{name} on {address} (process {pid})", highlight=False)
         try:
             console.print("Ctrl-C ends them")
-            signal.pause()
+            reported: set[str] = set()
+            while True:
+                for name, text in emulated.ended().items():
+                    if name not in reported:
+                        console.print(f"{name} {text}", highlight=False)
+                        reported.add(name)
+                time.sleep(_CHECK_S)
         except KeyboardInterrupt:
             console.print("ended")
     return 0

@@ -13,6 +13,7 @@ from hil.config.tables.sensors import device_of
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
 from hil.core.fork_server import ForkServer
+from hil.errors import PlugInError
 from hil.frmn.image_memory import ImageMemory
 from hil.parts.emulation.shared_state import SharedAxisState
 
@@ -52,14 +53,15 @@ class EmulatedDevices:
             "seed": seed,
             "board": self.board.descriptor,
         }
-        self._processes: dict[str, ChildProcess] = {}
+        self.processes: dict[str, ChildProcess] = {}
+        """Of each device, by the device's name; to stop one is to cut the device's power."""
         self._sends_images = "vmu" if images else ""
         axes = [part for name, table in rig.axis_groups.items() for part in table.parts(name)]
         orders = {"io": Order.COUPLER} | dict.fromkeys(axes, Order.AXES)
         try:
             for device in (*axes, *_devices(scenario, rig), *map(device_of, sensors)):
                 memory = images if device == "vmu" else None
-                self._processes[device] = ChildProcess(
+                self.processes[device] = ChildProcess(
                     f"{device} emulator",
                     _EMULATORS,
                     {
@@ -85,12 +87,12 @@ class EmulatedDevices:
 
     @property
     def pids(self) -> dict[str, int]:
-        """Process of each device, by the device's name; to stop it is to cut the device's power."""
-        return {device: process.pid for device, process in self._processes.items()}
+        """Numbers of ``processes``."""
+        return {device: process.pid for device, process in self.processes.items()}
 
     def process_of(self, address: str) -> str:
         """Return the name of the process that serves the wire or control port ``address``, as in ``pids``."""
-        owners = [name for name in self._processes if address == name or address.startswith(f"{name}.")]
+        owners = [name for name in self.processes if address == name or address.startswith(f"{name}.")]
         return max(owners, key=len)
 
     def wait_ready(self) -> tuple[Rig, dict[str, str]]:
@@ -99,20 +101,28 @@ class EmulatedDevices:
         Raises DeviceError if an emulator does not start.
         """
         addresses: dict[str, str] = {}
-        for process in self._processes.values():
+        for process in self.processes.values():
             addresses |= process.wait_ready(_READY_WALL_S)["addresses"]
-        return _connected(self._rig, addresses), addresses
+        try:
+            return _connected(self._rig, addresses), addresses
+        except KeyError as missing:
+            text = f"start returned no address {missing}, only {', '.join(addresses)}"
+            raise PlugInError(f"{self.process_of(missing.args[0])} emulator", text) from None
+
+    def ended(self) -> dict[str, str]:
+        """Return how the processes that have ended did so, by their names."""
+        return {process.name: text for process in self.processes.values() if (text := process.end_text())}
 
     def close(self) -> None:
         """End all of them, together and at once: an emulated device has nothing to bring to a safe state. Idempotent.
 
         A vision unit that sends images ends in order, so that the last ones arrive.
         """
-        if self._sends_images in self._processes:
-            self._processes[self._sends_images].close()
-        for process in self._processes.values():
+        if self._sends_images in self.processes:
+            self.processes[self._sends_images].close()
+        for process in self.processes.values():
             process.kill()
-        for process in self._processes.values():
+        for process in self.processes.values():
             process.close()
         self.board.close()
 
@@ -125,8 +135,8 @@ class EmulatedDevices:
 
 def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return what is emulated in a process each other than axes: devices, and parts of devices as ``DEVICE.PART``."""
-    parts = rig.vmu.entry.emulated_parts
-    vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"]
+    parts = rig.vmu.entry.emulated_parts if rig.has_vmu else ()
+    vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"] if rig.has_vmu else []
     more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera"}
     return (*vision, *(device for device, is_there in more.items() if is_there))
 
@@ -138,7 +148,8 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
         tables["target_manipulator" if rig.moved_target is not None else "rotary_manipulator"] = target
     for key in ("linear_axes", "rotary_axes"):
         tables[key] = {name: tables.pop(name, table) for name, table in getattr(rig, key).items()}
-    tables["vmu"] = rig.vmu.connected("vmu", addresses)
+    if rig.has_vmu:
+        tables["vmu"] = rig.vmu.connected("vmu", addresses)
     if rig.io is not None and rig.has_io:
         tables["io"] = rig.io.connected("io", addresses)
     lines = {

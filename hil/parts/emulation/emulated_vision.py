@@ -5,6 +5,8 @@ A module of its own because its imports (cameras, scipy) take longer than all of
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -14,21 +16,26 @@ from hil.bench.kinematics import pose_of_axes
 from hil.bench.manipulator import relative_axes
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.tables.sensors import device_of
+from hil.config.tables.sensors import SensorConfig, device_of
 from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
+from hil.core.line_protocol import LineProtocol
 from hil.core.messages import Array, PoseFrame
 from hil.core.sensor_records import NORMALS
+from hil.drivers.datagrams import DatagramSender
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.frmn.image_memory import ImageMemory
+from hil.maths import quat
 from hil.models.faults import SEED_BITS
 from hil.params import bench as bench_params
 from hil.params.sensors import sensors_of, settings_row
-from hil.parts.emulation.line_sensor import LineSensorEmulator
+from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorDatagrams
 from hil.parts.emulation.shared_state import SharedAxisState
-from hil.sensors.check import Trial
 from hil.sensors.measurement import noise_of
+from hil.sensors.module import SensorKind
+from hil.sensors.trial import Trial
 from hil.session.assembly import start_axes
 from hil.session.pose_model import make_pose_sensor, transport
 
@@ -89,7 +96,8 @@ def emulated_sensor(
     """
     sensors = sensors_of(scenario)
     (kind, config, _), number = sensors[name], list(sensors).index(name)
-    protocol = kind.module.wire
+    by_datagrams = config.source == "udp"
+    protocol = LineProtocol() if by_datagrams else kind.module.wire
     assert protocol is not None
     bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
     seen, trial = seen_axes(scenario, rig, board), Trial(kind, settings_row(kind, config))
@@ -108,4 +116,28 @@ def emulated_sensor(
 
     measure_at(0.0, 0)
     rate_hz = config.rate_hz or kind.module.rate_hz
-    return LineSensorEmulator(device_of(name), protocol, measure_at, (rate_hz, config.latency_s), clock, seed)
+    datagrams = None
+    if by_datagrams:
+        sender = DatagramSender(clock, config.host, config.port)
+        datagrams = SensorDatagrams(sender, _datagrams(kind, config, trial))
+    times = rate_hz, config.latency_s
+    return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, datagrams)
+
+
+def _datagrams(kind: SensorKind, config: SensorConfig, trial: Trial) -> Callable[[float, Sequence[float]], bytes]:
+    """Return what makes the datagram of a measurement at a bench time, which ``trial`` has measured last."""
+    n, counter = len(kind.components), itertools.count()
+
+    def as_json(t_s: float, values: Sequence[float]) -> bytes:
+        covariance = trial.output.sample.covariance[:n, :n].tolist()
+        return json.dumps({"t_s": t_s, "value": list(values), "covariance": covariance}).encode()
+
+    def as_frame(t_s: float, values: Sequence[float]) -> bytes:
+        q = quat.from_rotation_vector(np.array(values[3:]))
+        covariance = trial.output.sample.covariance[:6, :6].copy()
+        return codec.encode(PoseFrame(next(counter), t_s, t_s, np.array(values[:3]), q, covariance))
+
+    if config.frames is None:
+        return as_json
+    codec = frame_codec(config.frames)
+    return as_frame

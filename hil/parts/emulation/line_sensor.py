@@ -1,14 +1,15 @@
-"""An emulated sensor on a serial wire: measures while it is asked to, and sends each measurement as a line."""
+"""An emulated sensor on a serial wire or on UDP: measures while it is asked to, and sends each measurement."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from hil.core.clock import BenchClock
 from hil.core.line_protocol import LineProtocol
+from hil.drivers.datagrams import DatagramSender
 from hil.maths.random_streams import stream
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
 from hil.parts.emulation.pty_line import PtyLine
@@ -16,8 +17,15 @@ from hil.parts.emulation.pty_line import PtyLine
 _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is dropped
 
 
+class SensorDatagrams(NamedTuple):
+    """Wire of a sensor on UDP. encode: returns the datagram of a measurement by its bench time, s, and components."""
+
+    wire: DatagramSender
+    encode: Callable[[float, Sequence[float]], bytes]
+
+
 class LineSensorEmulator:
-    """Sensor ``name`` on a pseudo terminal.
+    """Sensor ``name`` on a pseudo terminal, or on the wire of ``datagrams``.
 
     measure_at: returns the components of measurement ``number`` at a bench time, s, None if there is none. Each line
     leaves ``latency_s`` after its measurement.
@@ -31,12 +39,14 @@ class LineSensorEmulator:
         times: tuple[float, float],
         clock: BenchClock,
         seed: int = 0,
+        datagrams: SensorDatagrams | None = None,
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
+        self._encode = datagrams.encode if datagrams else lambda _, values: protocol.encode(values)
         self._rate_hz, self._latency_s = times
         self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self._line = PtyLine(protocol.baud, clock)
+        self._line = datagrams.wire if datagrams else PtyLine(protocol.baud, clock)
         self._measures = not protocol.start
         self._received, self._last = b"", b""
 
@@ -78,6 +88,6 @@ class LineSensorEmulator:
         """Put the line of measurement ``number`` on its way."""
         values = self._measure_at(measured_s, number)
         if self.faults.value("freeze") is None or not self._last:
-            self._last = b"" if values is None else self._protocol.encode(values)
+            self._last = b"" if values is None else self._encode(measured_s, values)
         if self._last:
             self._channel.put(self._last, measured_s + self._latency_s)

@@ -22,7 +22,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from hil.core.child_process import child_of
 from hil.core.clock import Order
+from hil.core.stacks import Stack, place_in
 from hil.errors import LinkTimeout
 from hil.parts.emulation import lock_step_page as pages
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     import asyncio
 
 _IDLE: Final = 1.25  # periods: what a cycle triggers comes before what nothing has triggered
+_DEVICE: Final = 0  # end of a wire
 _LOOK_WALL_S: Final = 0.1  # between two looks for a participant whose process has ended
 
 
@@ -118,6 +121,7 @@ class LockStepWire:
         words, at = self._words, self._at
         if self._of_line:
             words[at + pages.ATTACHED + self._mine] = 0
+            words[at + pages.CLOSED + self._mine] = int(self._mine == _DEVICE)  # its driver finds it gone
             return
         with self._page.locked():
             words[at + pages.CLOSED + self._mine] = 1
@@ -388,8 +392,8 @@ class LockStepConductor(LockStepClock):
             now_s = time.monotonic()
             if words[pages.PASSES] != passes or any(map(_is_debugged, self._remove_ended())):
                 moved_s, passes = now_s, words[pages.PASSES]
-            if now_s - moved_s > self._timeout_s:
-                self._give_up()
+            if now_s - moved_s > self._timeout_s and not self._give_up():
+                moved_s = time.monotonic()
         self._begin(at)
         return False
 
@@ -415,18 +419,27 @@ class LockStepConductor(LockStepClock):
                 processes.append(process)
         return processes
 
-    def _give_up(self) -> None:
-        """End the processes that do not do their part, whose wires end then, and name them: raise LinkTimeout."""
-        late = self._late()
+    def _give_up(self) -> bool:
+        """End the processes that do not do their part, whose wires end then, and name them: raise LinkTimeout.
+
+        Return False if a debugger of Python stands in one of them.
+        """
+        late, places = self._late(), []
+        processes = {self._words[pages.slot_at(slot) + pages.PROCESS] for slot in late}
+        for process in processes:
+            stack = child.stack() if (child := child_of(process)) is not None else Stack()
+            if stack.is_debugged:
+                return False
+            places += [where] if (where := place_in(stack)) else []
         names = ", ".join(map(self.page.name_of, late)) or "lock-step"
         text = f"has not done its part at {self.now_s():.6f} s of bench time within {self._timeout_s:g} s of wall time"
-        for process in {self._words[pages.slot_at(slot) + pages.PROCESS] for slot in late}:
+        for process in processes:
             if process != os.getpid():
                 os.kill(process, signal.SIGKILL)
             self.page.remove_process(process)
         self._words[pages.BATON] = pages.LOOP_SLOT
         self._begin(pages.slot_at(pages.LOOP_SLOT))
-        raise LinkTimeout(names, f"{text} (lock-step)")
+        raise LinkTimeout(names, f"{text} (lock-step){f': it stands {places[0]}' if places else ''}")
 
 
 def _state(process: int) -> str:

@@ -162,7 +162,8 @@ def _next_work(words: np.ndarray) -> tuple[int, int]:
     is_unaccepted = False
     for wire in range(_WIRES):
         at = _HEAD + _SLOTS * _SLOT_WORDS + wire * _WIRE_WORDS
-        if words[at + KEY] != 0 and words[at + ATTACHED + 1] != 0 and words[at + ATTACHED] == 0:
+        is_waiting = words[at + ATTACHED + 1] != 0 and words[at + ATTACHED] == 0 and words[at + CLOSED] == 0
+        if words[at + KEY] != 0 and is_waiting:
             is_unaccepted = True
     best, best_ns, best_order = AT_WORK, NEVER, 1000
     for slot in range(_SLOTS):

@@ -14,6 +14,7 @@ from hil.config.scenario import Scenario
 from hil.config.tables.driver_registry import DeviceTable
 from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
+from hil.core.plug_ins import wrong_return
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.setpoint_limiter import compile_profile
 from hil.parts.emulation.fault_injection import ControlPort, Faults
@@ -31,15 +32,18 @@ class Emulator(Service, Protocol):
 
 
 class FaultInjectionService:
-    """Serves an emulator, and the control port of its faults if it has some."""
+    """Serves an emulator, and the control port of its faults if it has some. name: of the process, in errors."""
 
-    def __init__(self, emulator: Emulator) -> None:
-        self._emulator = emulator
+    def __init__(self, emulator: Emulator, name: str = "emulator") -> None:
+        self._emulator, self._name = emulator, name
         self._port = ControlPort(emulator.faults) if emulator.faults else None
 
     def start(self) -> dict[str, str]:
         """Open the wires; return name -> address, with the control port as ``DEVICE.faults``."""
         addresses, faults = self._emulator.start(), self._emulator.faults
+        if not (isinstance(addresses, dict) and all(isinstance(each, str) for each in addresses.values())):
+            expected = "expected a dict of the name of each wire to its address"
+            raise wrong_return(self._name, self._emulator.start, f"{addresses!r:.60}, {expected}")
         if faults is None or self._port is None:
             return addresses
         return {**addresses, f"{faults.device}.faults": self._port.address}
@@ -47,6 +51,8 @@ class FaultInjectionService:
     def run(self, stop: threading.Event) -> None:
         """Serve the wires until ``stop`` is set."""
         self._emulator.run(stop)
+        if not stop.is_set():
+            raise wrong_return(self._name, self._emulator.run, "before it was asked to end")
 
     def close(self) -> None:
         """Close control port and wires."""
@@ -98,8 +104,8 @@ def make(configuration: Message) -> Service:
     a real-time policy must not: then only the coupler has it, whose relay opens if it does not run for 50 ms. Those
     that make images take so much of a core that they have it only up to real time. In lock-step nothing is in time.
     """
-    service = FaultInjectionService(make_emulator(configuration))
     device, speed = configuration["device"], configuration["clock"].get("speed", math.inf)
+    service = FaultInjectionService(make_emulator(configuration), f"{device} emulator")
     is_camera = device == "monitor" or device.startswith("vmu.")
     makes_images = is_camera or (device == "vmu" and configuration["scenario"]["vmu"]["source"] != "model")
     if (device == "io" and speed < math.inf) or speed <= (1.0 if makes_images else 2.0 * speed_held()):

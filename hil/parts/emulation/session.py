@@ -8,6 +8,7 @@ from typing import Final
 
 from hil.core.clock import BenchClock
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy, short_turns, speed_held
+from hil.drivers.serial_port import is_counted
 from hil.loop.rate_keeper import Rate
 from hil.loop.session_parts import SessionParts
 from hil.parts.emulation.emulated_devices import EmulatedDevices
@@ -16,7 +17,7 @@ from hil.parts.emulation.true_axes import TrueAxesWatch
 from hil.parts.wires.wired import WiredBench, Wires, in_real_time, wired_bench
 from hil.recording.sinks import RecordingSinks
 from hil.session.assembly import Job
-from hil.session.sample_sources import wired_sensors
+from hil.session.sample_sources import datagram_sensors, wired_sensors
 
 _GRID_S: Final = 0.02  # lock-step: longest time between two steps of emulators and servers
 
@@ -47,7 +48,10 @@ def _emulators(
 ) -> Iterator[Wires]:
     """Give the rig with all its wires; the emulators run as long as this lasts."""
     rig, images = job.rig.value, sinks.image_memory() if sinks else None
-    with EmulatedDevices(job.truth, rig, clock, job.seed, images, wired_sensors(job.truth, rig)) as emulated:
+    sensors = wired_sensors(job.truth, rig)
+    if is_counted(clock):  # by the wall clock a program of the user's sends them
+        sensors += datagram_sensors(job.truth)
+    with EmulatedDevices(job.truth, rig, clock, job.seed, images, sensors) as emulated:
         wired, addresses = emulated.wait_ready()
         for device, pid in emulated.pids.items():
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if emulated.process_of(n) == device)
@@ -59,4 +63,4 @@ def _emulators(
             parts.layers.insert(1, axes.over)
             parts.meters["bench"] = axes.numbers
 
-        yield Wires(wired, emulated.server, emulated.pids, addresses, emulated.board, watch)
+        yield Wires(wired, emulated.server, emulated.processes, addresses, emulated.board, watch)

@@ -12,8 +12,10 @@ from typing import Final
 from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
+from hil.drivers.datagrams import DatagramSender
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
+from hil.drivers.vmu.entry import frames_of
 from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
@@ -45,9 +47,8 @@ class VmuEmulator:
     ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
-        line = config.rs422 or VmuLine()
-        self._baud = line.baud
-        self._codec = frame_codec(line.frames)
+        self._baud = (config.rs422 or VmuLine()).baud
+        self._codec = frame_codec(frames_of(config))
         self._identifies = bool(self._codec.identity_sync)
         self._clock = clock
         self._pose_at = pose_at
@@ -58,13 +59,16 @@ class VmuEmulator:
         self._frame = b""  # the newest one
         self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
         self._sent = 0
-        self._line: PtyLine | None = None
+        self._line: PtyLine | DatagramSender | None = None
         self._counter = 0
 
     def start(self) -> dict[str, str]:
         """Open the line; return ``{"vmu": path of its pseudo terminal}``."""
-        self._line = PtyLine(self._baud, self._clock)
+        self._line = self._open_line()
         return {NAME: self._line.path}
+
+    def _open_line(self) -> PtyLine | DatagramSender:
+        return PtyLine(self._baud, self._clock)
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set; after ``start``."""
@@ -124,3 +128,10 @@ class VmuEmulator:
         """Wait until bench time ``t_s``; return whether ``stop`` is set."""
         self._clock.sleep_until(t_s)
         return stop.is_set()
+
+
+class UdpVmuEmulator(VmuEmulator):
+    """Sends the unit's frames as datagrams."""
+
+    def _open_line(self) -> DatagramSender:
+        return DatagramSender(self._clock)

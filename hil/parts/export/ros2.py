@@ -7,6 +7,7 @@ wall clock at the start of the run plus the time of the run; ``/time_of_run`` ha
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import struct
@@ -22,6 +23,8 @@ from mcap.writer import CompressionType, Writer
 
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
 from hil.core.camera_images import LEFT, RIGHT
+from hil.core.fields import Fields
+from hil.core.messages import CYCLE_FIELDS
 from hil.errors import BadInput
 from hil.recording import schema
 from hil.recording.images import recorded_images
@@ -56,11 +59,33 @@ _DEFINITIONS: Final = {
     "diagnostic_msgs/msg/DiagnosticArray": "std_msgs/Header header\nDiagnosticStatus[] status",
 }
 """Type -> its definition, as in the common interfaces of ROS 2."""
+_CYCLE: Final = "hil_msgs/msg/Cycle"
+_NUMBERS: Final = {"f8": "float64", "i8": "int64"}
+
+
+def _definition_of(fields: Fields) -> str:
+    """Return the definition of a message with the fields of a record, in lower case, as ROS 2 requires.
+
+    A nested message has the name of its field.
+    """
+    lines = []
+    for field in fields:
+        kind = _NUMBERS[field.type] if isinstance(field.type, str) else f"hil_msgs/{field.name.capitalize()}"
+        size = math.prod(np.atleast_1d(field.shape)) if field.shape != () else 0
+        lines.append(f"{kind}[{int(size)}] {field.name.lower()}" if size else f"{kind} {field.name.lower()}")
+    return "\n".join(lines)
+
+
+_DEFINITIONS[_CYCLE] = _definition_of(CYCLE_FIELDS)
+for _field in CYCLE_FIELDS:
+    if not isinstance(_field.type, str):
+        _DEFINITIONS[f"hil_msgs/msg/{_field.name.capitalize()}"] = _definition_of(_field.type)
 _POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _TWIST: Final = "geometry_msgs/msg/TwistStamped"
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _IMAGE: Final = "sensor_msgs/msg/CompressedImage"
 TOPICS: Final = {
+    "/cycle": _CYCLE,
     "/truth/pose": _POSE,
     "/truth/twist": _TWIST,
     "/navigation/pose": _POSE,
@@ -120,6 +145,10 @@ def type_of(topic: str) -> str:
     return _JOINTS if topic.startswith(("/sensors/", "/held_axes/")) else TOPICS[topic]
 
 
+_ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+"""Begin of a message: CDR, little-endian."""
+
+
 class _Cdr:
     """A message in the making. Alignment counts from behind the four bytes of the encapsulation."""
 
@@ -142,7 +171,7 @@ class _Cdr:
                 self._put_all(field, length, inner)
 
     def message(self) -> bytes:
-        return b"\x00\x01\x00\x00" + bytes(self._bytes)
+        return _ENCAPSULATION + bytes(self._bytes)
 
     def _put_all(self, kind: str, length: int | None, value: Any) -> None:
         if length is None:
@@ -222,15 +251,16 @@ def start_ns(recorded: Recorded) -> int:
 def _messages(recorded: Recorded) -> Iterator[_Message]:
     """Yield all messages: those of the cycles in the order of time, then further sensors, log and images."""
     for topic, time_ns, value in _values(recorded):
-        yield topic, time_ns, encoded(type_of(topic), value)
+        yield topic, time_ns, value if isinstance(value, bytes) else encoded(type_of(topic), value)
 
 
 def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, stamp and value of all messages."""
-    zero_ns = start_ns(recorded)
+    """Yield topic, stamp and value of all messages; the value of a whole cycle is its message."""
+    zero_ns, n = start_ns(recorded), len(recorded.scenario.chaser.thrusters.position_m)
     for row in recorded.cycles:
         time_ns = _stamp(float(row["t_s"]), zero_ns)
-        for topic, value in _cycle(row, time_ns, zero_ns):
+        yield "/cycle", time_ns, _ENCAPSULATION + row.tobytes()  # numbers of 8 bytes: CDR aligns them as the record
+        for topic, value in _cycle(row, time_ns, zero_ns, n):
             yield topic, time_ns, value
     yield from _samples(recorded, zero_ns)
     yield from _held_axes(recorded, zero_ns)
@@ -285,8 +315,8 @@ def _stamp(t_s: float | None, zero_ns: int) -> int:
     return zero_ns + (round(t_s * 1e9) if t_s is not None and t_s > 0.0 else 0)
 
 
-def _cycle(row: np.void, time_ns: int, zero_ns: int) -> Iterator[tuple[str, Any]]:
-    """Yield topic and value of the messages of one row (CYCLE)."""
+def _cycle(row: np.void, time_ns: int, zero_ns: int, thrusters: int) -> Iterator[tuple[str, Any]]:
+    """Yield topic and value of the messages of one row (CYCLE). thrusters: of the vehicle."""
     truth, estimate, pose, imu = row["truth"], row["navigation"], row["pose"], row["imu"]
     r, q = truth["r_CT_H"], truth["q_CH"]
     here, unnamed = _header(time_ns, _HILL), _header(time_ns, "")
@@ -308,9 +338,9 @@ def _cycle(row: np.void, time_ns: int, zero_ns: int) -> Iterator[tuple[str, Any]
         axes = row[name]
         positions, rates = (np.concatenate([axes[a], axes[b]]) for a, b in _AXIS_FIELDS)
         yield topic, (unnamed, _AXES, positions, rates, ())
-    on = row["command"]["on"]
-    names = [f"thruster_{i + 1}" for i in range(len(on))]
-    yield "/thrusters", (unnamed, names, truth["thrust_fraction"], (), on.astype(float))
+    names = [f"thruster_{number}" for number in range(1, thrusters + 1)]
+    on = row["command"]["on"][:thrusters].astype(float)
+    yield "/thrusters", (unnamed, names, truth["thrust_fraction"][:thrusters], (), on)
     yield "/tf", ([(here, _CHASER, (r, q))],)
     yield "/time_of_run", (unnamed, _time(round(float(row["t_s"]) * 1e9)), "time of the run")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.core.fields import leaf_fields
 from hil.core.files import replaced
-from hil.core.messages import CYCLE, CYCLE_FIELDS
+from hil.core.messages import CYCLE, CYCLE_FIELDS, MAX_THRUSTERS, with_thrusters
 from hil.core.part import part_sinks
 from hil.errors import BadInput
 from hil.recording import foxglove, schema
@@ -33,21 +33,6 @@ _OPTIONAL: Final = ("/imu", "/axes", *schema.OPTIONAL)  # most runs have none of
 
 _CSV_ROWS: Final = 1000
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
-
-
-def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the columns of ``flat`` (n,): name and values (n,); ``truth.r_CT_H[0]`` for an element of an array."""
-    for name in flat.dtype.names or ():
-        values = flat[name]
-        if values.dtype.kind == "S":
-            values = np.char.decode(values, "utf-8", "replace")
-        if values.ndim == 1:
-            yield name, values
-            continue
-        inner = values.shape[1:]
-        for index in np.ndindex(*inner):
-            suffix = "".join(f"[{i}]" for i in index)
-            yield f"{name}{suffix}", values[(slice(None), *index)]
 
 
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
@@ -128,9 +113,12 @@ def _held_tables(recording: Contents) -> Iterator[tuple[str, dict[str, Any], dic
         yield f"axes-{name}", table, units
 
 
-def write_cycles(history: np.ndarray, out: Path) -> None:
-    """Write ``history``, (n,) of CYCLE, as Parquet to ``out``: the table of cycles of ``export``. Raises BadInput."""
-    table = dict(columns(history.view(schema.flat_dtype(CYCLE))))
+def write_cycles(history: np.ndarray, thrusters: int, out: Path) -> None:
+    """Write ``history``, (n,) of CYCLE, as Parquet to ``out``: the table of cycles of ``export``. Raises BadInput.
+
+    thrusters: of the vehicle.
+    """
+    table = dict(schema.columns(with_thrusters(history.view(schema.flat_dtype(CYCLE)), thrusters)))
     units = {f.name: " in ".join(word for word in (f.unit, f.frame) if word) for f in leaf_fields(CYCLE_FIELDS)}
     _write_file("parquet", table, units, out)
 
@@ -148,11 +136,19 @@ def _table(recording: Contents, topic: str) -> dict[str, Any] | None:
     if (topic in _OPTIONAL or topic not in TABLES) and not recording.records.get(topic):
         return None
     if topic in recording.layouts:
-        return dict(columns(recording.flat(topic)))
+        return dict(schema.columns(with_thrusters(recording.flat(topic), _thrusters_of(recording))))
     if topic == foxglove.LOG_TOPIC and topic in recording.lines:
         names = ("t_s", "bench_s", "cycle", "kind", "name", "message")
         return {name: [line.get(name) for line in recording.lines[topic]] for name in names}
     return None
+
+
+def _thrusters_of(recording: Contents) -> int:
+    """Return the number of thrusters of the recorded vehicle; if it is unknown, that of the places in a record."""
+    try:
+        return len(json.loads(recording.files["scenario.json"])["chaser"]["thrusters"]["position_m"])
+    except (KeyError, ValueError, TypeError):
+        return MAX_THRUSTERS
 
 
 def _units(recording: Contents, topic: str) -> dict[str, str]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from hil.cli.options import Integer, OptionalSeconds, Seed, Settings, one_of
+from hil.cli.output import notices
 
 Version = Annotated[Integer, one_of((2, 3))]
 
@@ -52,7 +52,7 @@ def fmu_export(
 
     job = make_job(loaded_scenario(scenario, settings), loaded_rig(rig, settings), seed, duration)
     build.check(job)
-    console = Console(stderr=True)
+    console = notices()
     compile_kernels_with_notice(job, console)
     with console.status("compiling the plant"):
         case = PlantCase(job.scenario.value, job.rig.value, job.truth, job.seed, job.duration_s)

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import File, Group, Output, within
-from hil.cli.output import commonest, write_json
+from hil.cli.output import commonest, notices, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.files import create
 from hil.errors import BadInput
@@ -97,7 +97,7 @@ def monitor(
         q_attitude=options.q,
     )
     source = open_source(video, loaded)
-    console = Console(stderr=True)
+    console = notices()
     portions: list[Portion] = []
     looks: list[FrameResult] = []
     with ExitStack() as stack:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
+from hil.core.public import public
 from hil.parts.monitor.displacement import DISPLACED, displaced
 from hil.parts.monitor.field_check import FieldCheck
 from hil.parts.monitor.frame_tracker import FrameTracker
@@ -43,6 +44,7 @@ _EACH_CHECKED: Final = 2  # of the frames of a portion
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
 
+@public
 class DockingMonitor:
     """Measures the approach to one target with one camera.
 
@@ -63,6 +65,7 @@ class DockingMonitor:
         self._fields = FieldCheck(self.scene)
         self.last: FrameResult | None = None
 
+    @public
     def feed(self, frame: VideoFrame | NDArray[np.uint8]) -> list[Result]:
         """Process the next frame; return the portions that it completes.
 

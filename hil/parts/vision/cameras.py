@@ -42,6 +42,8 @@ class CamerasVmu:
         self._child: ChildProcess | None = None
         self._failure = np.zeros(1, io_layout.FAILURE)
         self._counters = np.zeros(1, io_layout.COUNTERS)
+        self.processes: dict[str, ChildProcess] = {}
+        """The vision process, while it is open."""
         self.pids: dict[str, int] = {}
         """Processes of the cameras."""
 
@@ -57,7 +59,8 @@ class CamerasVmu:
             "speed": self._clock.speed,
             "descriptors": descriptors,
         }
-        self._child = ChildProcess("vision unit", "hil.parts.vision.process", configuration, descriptors)
+        self._child = ChildProcess("vision process", "hil.parts.vision.process", configuration, descriptors)
+        self.processes = {"vision": self._child}
         try:
             ready = self._child.wait_ready(_READY_WALL_S)
             raise_failure(ready)
@@ -73,7 +76,7 @@ class CamerasVmu:
             raise LinkLost(self.name, "is closed")
         if self._block["failure"].read(self._failure)[0]:
             raise io_layout.failure_of(self._failure)
-        if ended := self._child.exit_status():
+        if ended := self._child.end_text():
             raise LinkLost(self.name, f"vision process {ended}")
         number, beat_s = self._block["counters"].read(self._counters)
         age_s = now_s - (beat_s if number else self._opened_s)
@@ -92,7 +95,7 @@ class CamerasVmu:
     def close(self) -> None:
         """End the vision process and its cameras. Idempotent, never raises."""
         self.counters()
-        child, self._child = self._child, None
+        child, self._child, self.processes = self._child, None, {}
         if child is None:
             return
         with contextlib.suppress(Exception):

@@ -15,6 +15,7 @@ from hil.config.rig import Vmu
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME
+from hil.core.plug_ins import call, plug_in_error
 from hil.core.realtime import drop_priority, limit_fifo, take_fifo
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.server import FIFO_PRIORITY
@@ -38,7 +39,7 @@ def main() -> None:
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     geometry = geometry_of_unit(vmu)
     try:
-        vision = LiveVision(estimator_of_unit(vmu), vmu, middle_row_s(geometry))
+        vision = call(NAME, LiveVision, estimator_of_unit(vmu), vmu, middle_row_s(geometry))
         cameras = sized_cameras(vmu, geometry, clock)
     except BadInput as error:
         parent.send(failure=["DeviceError", NAME, str(error)])
@@ -68,8 +69,9 @@ def main() -> None:
                 counters = vision.counters() | {"skipped": cameras.skipped}
                 counters["clock_jumps"] += sum(cameras.jumps)
                 block["counters"].write(io_layout.counters_record(counters), now_s)
-    except BenchError as error:
-        block["failure"].write(io_layout.failure_record(error, NAME), clock.now_s())
+    except (Exception, SystemExit) as error:
+        known = error if isinstance(error, BenchError) else plug_in_error(NAME, error)
+        block["failure"].write(io_layout.failure_record(known, NAME), clock.now_s())
         parent.wait_end(60.0)
     finally:
         cameras.close()

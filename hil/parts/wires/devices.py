@@ -6,6 +6,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from hil.config.rig import AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.host import ClockConfig
 from hil.core.clock import WallClock
+from hil.core.plug_ins import call
 from hil.drivers.base import AxisGroup, CountsPackets, Describes, PoseSource
 from hil.drivers.ptp import read_status
+from hil.drivers.returned import checked_feedback, checked_frames
 from hil.drivers.serial_port import latency_timer_ms
 from hil.drivers.split_axes import RigDrivers, make_drivers
 from hil.drivers.wire_lock import locked_wires
@@ -84,8 +87,7 @@ def device_checks(drivers: RigDrivers, rig: Rig, clock: WallClock, enable_drives
         else:
             advice = "opened with --devices, which enables its drives: they hold their positions"
             checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
-    checks.append(_source(drivers.poses, clock))
-    return checks
+    return [*checks, *([_source(drivers.poses, clock)] if rig.has_vmu else [])]
 
 
 def _promised_hz(table: AxisGroupTable, name: str) -> float:
@@ -99,7 +101,7 @@ def _axes(group: AxisGroup, unit: str, clock: WallClock, promised_hz: float) -> 
     facts: list[str] = []
 
     def sample() -> str:
-        feedback = group.read(clock.now_s())
+        feedback = checked_feedback(group.name, group.read, group.read(clock.now_s()), len(group.axis_names))
         values = np.degrees(feedback.position) if unit == "deg" else feedback.position
         names = [name.rpartition(".")[2] for name in group.axis_names]
         positions = ", ".join(f"{name} {value:.3f}" for name, value in zip(names, values, strict=True))
@@ -134,7 +136,7 @@ def _exchange_rate(group: AxisGroup, clock: WallClock, promised_hz: float) -> st
 
 def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
     def sample() -> str:
-        frames = source.poll(clock.now_s())
+        frames = [*checked_frames(source.name, source.poll, source.poll(clock.now_s()))]
         if not frames:
             raise LinkTimeout(source.name, "no pose")
         return f"pose at {np.linalg.norm(frames[-1].t_v):.3f} m from the camera"
@@ -147,13 +149,14 @@ def _check_device(
 ) -> PreflightCheck:
     """Open a device, wait for its first sample, and release it in any case."""
     try:
-        start()
-        return PreflightCheck(f"device {name}", True, _first_sample(sample))
+        call(name, start)
+        return PreflightCheck(f"device {name}", True, _first_sample(lambda: call(name, sample)))
     except BenchError as error:
         advice = "check its power and its link (docs/how-to/set-up-a-rig.md); hil emulate starts a device that responds"
         return PreflightCheck(f"device {name}", False, str(error), advice)
     finally:
-        release()
+        with suppress(BenchError):
+            call(name, release)
 
 
 def _first_sample(sample: Callable[[], str]) -> str:
@@ -173,7 +176,7 @@ _NETWORK = Path("/sys/class/net")
 
 def port_checks(rig: Rig) -> list[PreflightCheck]:
     """Return a check per link of ``rig``; a kind without a check is reported as not checked."""
-    checks = {"serial": _serial, "tcp": _tcp, "can": _can}
+    checks = {"serial": _serial, "tcp": _tcp, "udp": _udp, "can": _can}
     return [
         checks[wire.kind](wire.key, wire.address)
         if wire.kind in checks
@@ -215,6 +218,18 @@ def _tcp(key: str, address: str) -> PreflightCheck:
         advice = "correct the key, or add the host to /etc/hosts"
         return PreflightCheck(name, False, f"{address}: {error.strerror or error}", advice)
     return PreflightCheck(name, True, address if resolved == host else f"{address} is {resolved}")
+
+
+def _udp(key: str, address: str) -> PreflightCheck:
+    name = f"UDP port {key}"
+    host, _, port = address.rpartition(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, int(port)))
+        except OSError as error:
+            advice = "give an address of this computer and a port that no other program uses"
+            return PreflightCheck(name, False, f"{address}: {error.strerror or error}", advice)
+    return PreflightCheck(name, True, f"{address}: free")
 
 
 def _can(key: str, address: str) -> PreflightCheck:

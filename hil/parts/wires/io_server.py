@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import socket
+from contextlib import suppress
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from hil.config.rig import Rig
 from hil.core.child_process import Message, serve
 from hil.core.clock import BenchClock, clock_of
 from hil.core.messages import VMU_FRAME, AxisFeedback
+from hil.core.plug_ins import call
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
+from hil.drivers.returned import checked_feedback, checked_frames
 from hil.drivers.setpoint_limiter import compile_profile
 from hil.drivers.split_axes import make_drivers
 from hil.errors import BenchError, LinkLost
@@ -53,8 +56,9 @@ class IoServer(DeviceServer):
 
     def stop_all(self, now_s: float) -> None:
         """Stop all axes."""
-        for device in self._axes.values():
-            device.stop(now_s)
+        for name, device in self._axes.items():
+            with suppress(BenchError):
+                call(name, device.stop, now_s)
 
     def on_opened(self, name: str) -> None:
         """Skip setpoints from before the opening, and write the first feedback before the request is answered."""
@@ -62,12 +66,12 @@ class IoServer(DeviceServer):
             self._jogging[name] = False
             box = self.memory.block[f"{name}.setpoint"]
             self._setpoint_number[name] = box.read(np.zeros(1, box.dtype))[0]
-            self._write_feedback(name, self._axes[name].read(self.clock.now_s()))
+            self._write_feedback(name, self._read(name, self.clock.now_s()))
 
     def _step_axes(self, name: str, now_s: float) -> None:
         device, block = self._axes[name], self.memory.block
         if kind := self.stop_requested(name):
-            self.stop_in_thread(device.disable if kind == io_layout.DISABLE else device.stop, now_s)
+            self.stop_in_thread(name, device.disable if kind == io_layout.DISABLE else device.stop, now_s)
         if name not in self.served:
             return
         try:
@@ -75,25 +79,33 @@ class IoServer(DeviceServer):
             if box.written != self._setpoint_number[name]:
                 setpoint = np.zeros(1, box.dtype)
                 self._setpoint_number[name], sent_s = box.read(setpoint)
-                self._pass_on(device, setpoint[0], sent_s)
-            feedback = device.read(now_s)
+                self._pass_on(name, setpoint[0], sent_s)
+            feedback = self._read(name, now_s)
         except BenchError as error:
             self.fail(name, error, now_s)
             return
         if feedback.t_s != self._feedback_s[name]:
             self._write_feedback(name, feedback)
 
-    def _pass_on(self, device: AxisGroup, setpoint: np.void, sent_s: float) -> None:
+    def _read(self, name: str, now_s: float) -> AxisFeedback:
+        device = self._axes[name]
+        feedback = call(name, device.read, now_s)
+        if getattr(feedback, "t_s", None) == self._feedback_s[name]:
+            return feedback
+        return checked_feedback(name, device.read, feedback, len(device.axis_names))
+
+    def _pass_on(self, name: str, setpoint: np.void, sent_s: float) -> None:
+        device = self._axes[name]
         position, rate, kind = setpoint["position"], setpoint["rate"], int(setpoint["kind"])
         if kind == io_layout.GOAL and isinstance(device, Parks):
-            device.move_to(position, rate, sent_s)
+            call(name, device.move_to, position, rate, sent_s)
             return
-        if (kind == io_layout.JOGGED) != self._jogging[device.name] and isinstance(device, Jogs):
-            self._jogging[device.name] = kind == io_layout.JOGGED
-            device.set_jogging(kind == io_layout.JOGGED)
+        if (kind == io_layout.JOGGED) != self._jogging[name] and isinstance(device, Jogs):
+            self._jogging[name] = kind == io_layout.JOGGED
+            call(name, device.set_jogging, kind == io_layout.JOGGED)
         if isinstance(device, LimitsSetpoints):
-            device.set_limits(setpoint["rate_max"], setpoint["acceleration_max"])
-        device.send(position, rate, sent_s)
+            call(name, device.set_limits, setpoint["rate_max"], setpoint["acceleration_max"])
+        call(name, device.send, position, rate, sent_s)
 
     def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:
         self._feedback_s[name] = feedback.t_s
@@ -106,7 +118,7 @@ class IoServer(DeviceServer):
         if "vmu" not in self.served:
             return
         try:
-            for frame in self._poses.poll(now_s):
+            for frame in checked_frames("vmu", self._poses.poll, call("vmu", self._poses.poll, now_s)):
                 frame.write_to(self._frame)
                 self.memory.frames.put(self._frame)
         except BenchError as error:
@@ -122,7 +134,7 @@ class IoServer(DeviceServer):
             return
         self._loop_lost = True
         for name, device in self._axes.items():
-            self.stop_in_thread(device.stop, now_s)
+            self.stop_in_thread(name, device.stop, now_s)
             if name in self.served:
                 text = f"stopped: the loop has been silent for {silent_s:.3f} s{self.own_pause()}"
                 self.fail(name, LinkLost(name, text), now_s)
@@ -134,8 +146,9 @@ def make(configuration: Message) -> IoServer:
     clock = clock_of(configuration)
     raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    made = make_drivers(rig, clock, configuration["period_s"])
     memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), rig.held_numbers)
+    memory.note_calls(io_layout.IO)
+    made = make_drivers(rig, clock, configuration["period_s"])
     return IoServer(made.axes, made.poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 
 

@@ -15,11 +15,13 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.core.child_process import Message, serve
 from hil.core.clock import BenchClock, clock_of
+from hil.core.plug_ins import call
 from hil.drivers.base import DiscreteIo
 from hil.drivers.io import NAME
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
+from hil.drivers.returned import checked_inputs
 from hil.errors import BenchError, LinkLost
 
 _PERIOD_WALL_S = 0.004  # a tenth of the shortest silence to detect, less than a pulse's period
@@ -39,19 +41,19 @@ class Watchdog(DeviceServer):
     def step(self, now_s: float) -> None:
         """Pulse while the heartbeats continue; pass on outputs and inputs."""
         if self.stop_requested(NAME):
-            self.stop_in_thread(self._lines.stop, now_s)
+            self.stop_in_thread(NAME, self._lines.stop, now_s)
         if NAME not in self.served:
             return
         if silence := self._silence(now_s):
-            self.stop_in_thread(self._lines.stop, now_s)
+            self.stop_in_thread(NAME, self._lines.stop, now_s)
             self.fail(NAME, LinkLost(NAME, silence), now_s)
             return
         try:
-            self._lines.pulse(now_s)
+            call(NAME, self._lines.pulse, now_s)
             number, _ = self.memory.block["io.outputs"].read(self._outputs)
             if number != self._outputs_number:
                 self._outputs_number = number
-                self._lines.write(io_layout.read_outputs(self._outputs), now_s)
+                call(NAME, self._lines.write, io_layout.read_outputs(self._outputs), now_s)
             self._write_inputs(now_s)
         except BenchError as error:
             self.fail(NAME, error, now_s)
@@ -64,10 +66,10 @@ class Watchdog(DeviceServer):
 
     def stop_all(self, now_s: float) -> None:
         """Set all outputs off."""
-        self._lines.stop(now_s)
+        call(NAME, self._lines.stop, now_s)
 
     def _write_inputs(self, now_s: float) -> None:
-        inputs = self._lines.read(now_s)
+        inputs = checked_inputs(NAME, self._lines.read, call(NAME, self._lines.read, now_s))
         if inputs.t_s != self._inputs_s:
             self._inputs_s = inputs.t_s
             self.memory.block["io.inputs"].write(io_layout.inputs_record(inputs), inputs.t_s)
@@ -88,6 +90,7 @@ def make(configuration: Message) -> Watchdog:
     rig = Rig.model_validate(configuration["rig"], strict=False)
     assert rig.io is not None
     memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), rig.held_numbers)
+    memory.note_calls(io_layout.WATCHDOG)
     return Watchdog(rig.io.make_driver(clock), memory, socket.socket(fileno=configuration["requests"]), clock)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -11,19 +12,23 @@ from typing import Any, Final, NamedTuple
 from hil.checks import compatibility
 from hil.config.load import Loaded
 from hil.config.rig import Rig
+from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, WallClock
 from hil.core.fork_server import ForkServer
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
 from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
+from hil.core.stacks import place_in
+from hil.drivers.remote.io_layout import IO
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.wire_lock import locked_wires
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput, BenchError, LinkLost, LinkTimeout, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import LockStepRate, Rate, WallClockRate
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
+from hil.parts.wires.datagram_sensors import open_datagrams
 from hil.parts.wires.line_sensors import line_sensors
 from hil.parts.wires.meters import ClockWatch, ExchangeRates
 from hil.recording.sinks import EventRecorder, RecordingSinks
@@ -36,14 +41,14 @@ TELEMETRY_ROWS: Final = 2048  # 41 s at 50 Hz: a reader that comes later misses 
 class Wires(NamedTuple):
     """Wires of a bench and what serves their other ends.
 
-    rig: with the wires in use. server: forks the I/O processes; None: they are started. pids: by the names of devices.
-    addresses: of the wires and control ports. board: state of emulated axes, None of real ones. watch: adds to a
-    session what is measured of these.
+    rig: with the wires in use. server: forks the I/O processes; None: they are started. emulators: processes by the
+    names of devices. addresses: of the wires and control ports. board: state of emulated axes, None of real ones.
+    watch: adds to a session what is measured of these.
     """
 
     rig: Rig
     server: ForkServer | None = None
-    pids: Mapping[str, int] = MappingProxyType({})
+    emulators: Mapping[str, ChildProcess] = MappingProxyType({})
     addresses: Mapping[str, str] = MappingProxyType({})
     board: Any = None
     watch: Callable[[SessionParts, Rate], None] = lambda *_: None
@@ -53,9 +58,9 @@ class Wires(NamedTuple):
 class WiredBench:
     """A bench on wires with all its processes; each ``runner`` is one session at it, one after the other.
 
-    rig: with the wires in use. telemetry: CYCLE of each cycle, for other processes. pids: of every process, by the
-    name of its device, or IO and WATCHDOG. pauses: returns those of IO and WATCHDOG by the host, s. addresses: of the
-    emulators' wires and control ports. board: state of the emulated axes.
+    rig: with the wires in use. telemetry: CYCLE of each cycle, for other processes. processes: by the names of their
+    devices, or IO and WATCHDOG. calls: returns what IO or WATCHDOG calls of plug-ins. pauses: returns those of IO and
+    WATCHDOG by the host, s. addresses: of the emulators' wires and control ports. board: state of the emulated axes.
     """
 
     job: Job
@@ -65,11 +70,18 @@ class WiredBench:
     devices: Devices
     telemetry: Telemetry
     sinks: RecordingSinks | None
-    pids: dict[str, int]
+    processes: dict[str, ChildProcess]
+    calls: Callable[[str], list[str]]
     pauses: Callable[[], dict[str, float]] = field(default=dict)
+    _inquiry: tuple[threading.Thread, list[str]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.rig, self.addresses, self.board = self.wires.rig, dict(self.wires.addresses), self.wires.board
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Numbers of ``processes``."""
+        return {name: process.pid for name, process in self.processes.items()}
 
     @property
     def event_recorder(self) -> EventRecorder | None:
@@ -79,7 +91,56 @@ class WiredBench:
     def connect(self, parts: SessionParts) -> None:
         """Add the connections of this bench to ``parts``."""
         parts.scheduling, parts.telemetry, parts.clock, parts.bench = self.scheduling, self.telemetry, self.clock, self
-        parts.frames_to_arm, parts.process_pauses = _FRAMES_TO_ARM, self.pauses
+        parts.frames_to_arm, parts.process_pauses = _FRAMES_TO_ARM if self.rig.has_vmu else 0, self.pauses
+        parts.process_failures = self.failures
+
+    def failures(self, fault: BenchError) -> str | None:
+        """Return which processes have ended, and where code of a plug-in hangs, as an addition to ``fault``.
+
+        "" if nothing is known. None while it is being found out, in a thread: a process may take time to answer.
+        """
+        if not isinstance(self.clock, WallClock):  # in lock-step time stands meanwhile
+            return self._found(fault)
+        if self._inquiry is None:
+            found: list[str] = []
+            thread = threading.Thread(target=lambda: found.append(self._found(fault)), name="inquiry", daemon=True)
+            self._inquiry = thread, found
+            thread.start()
+        thread, found = self._inquiry
+        if thread.is_alive():
+            return None
+        self._inquiry = None
+        return found[0] if found else ""
+
+    def _found(self, fault: BenchError) -> str:
+        """Return what ``failures`` does; the tracebacks that the processes have written go to the log."""
+        text, calls = str(fault), [f"calling {each}" for each in self.calls(IO)]
+        ended = [each for each in self._all_processes.values() if each.exit_status()]
+        if isinstance(fault, LinkTimeout) and fault.device in (IO, *(each.name for each in ended)):  # by lock-step
+            texts = calls
+        elif ended:  # unless the others have ended because of the one that the fault names
+            known = any(each.end_text() in text for each in ended)
+            texts = [] if known else [f"{each.name} {each.end_text()}" for each in ended]
+        elif isinstance(fault, LinkLost | LinkTimeout):
+            of_device = [each for name, each in self.wires.emulators.items() if name.partition(".")[0] == fault.device]
+            silent = [each for name, each in self._all_processes.items() if f"{name} process" in text]
+            stands = ((each.name, place_in(each.stack())) for each in (*of_device, *silent))
+            texts = [f"{name} stands {where}" for name, where in stands if where and where not in text]
+            texts += calls if f"{IO} process" in text and "calling" not in text else []
+        else:
+            texts = []
+        self.log_tracebacks()
+        return f" ({'; '.join(texts)})" if texts else ""
+
+    @property
+    def _all_processes(self) -> dict[str, ChildProcess]:
+        vision: dict[str, ChildProcess] = getattr(self.devices.source, "processes", {})
+        return self.processes | vision
+
+    def log_tracebacks(self) -> None:
+        """Write the tracebacks that the processes have written since the last call to the log."""
+        for process in self._all_processes.values():
+            process.log_traceback()
 
     def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner without recording, which only moves the axes."""
@@ -110,7 +171,11 @@ class WiredBench:
         return WallClockRate(clock, step_s) if isinstance(clock, WallClock) else LockStepRate(clock, step_s)
 
     def _assembled(self, parts: SessionParts, rate: Rate) -> Runner:
-        parts.sample_sources[:0] = line_sensors(self.job.scenario.value, self.rig, self.clock)
+        scenario = self.job.scenario.value
+        parts.sample_sources[:0] = [
+            *open_datagrams(scenario, self.clock),
+            *line_sensors(scenario, self.rig, self.clock),
+        ]
         return assemble(self.job, self.rig, rate, self.devices, parts)
 
 
@@ -144,8 +209,13 @@ def wired_bench(
         io.wait_ready()
         for name, pid in io.pids.items():
             announce(f"{name} process {pid}")
-        pids = {**wires.pids, **io.pids}
-        yield WiredBench(job, wires, clock, scheduling, Devices(*io.devices()), telemetry, sinks, pids, io.pauses)
+        processes = {**wires.emulators, **io.children}
+        devices = Devices(*io.devices())
+        bench = WiredBench(job, wires, clock, scheduling, devices, telemetry, sinks, processes, io.calls, io.pauses)
+        try:
+            yield bench
+        finally:
+            bench.log_tracebacks()
 
 
 @contextmanager

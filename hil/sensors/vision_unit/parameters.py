@@ -60,12 +60,11 @@ def mounting(rig: Rig) -> np.record:
 
 
 def camera(rig: Rig) -> tuple[np.record, Array]:
-    """Return CAMERA, and the LEDs of the ring in t, (n, 3), m."""
+    """Return CAMERA, and the LEDs of the ring in t, (n, 3), m; without a vision unit its images have no pixels."""
     params = new(CAMERA)
     settings = rig.vmu.camera
     params.focal = settings.focal_px
-    params.width = settings.width_px
-    params.height = settings.height_px
+    params.width, params.height = (settings.width_px, settings.height_px) if rig.has_vmu else (0.0, 0.0)
     params.baseline = settings.baseline_m
     return params, np.array(rig.vmu.leds_m, dtype=float)
 

@@ -38,3 +38,9 @@ def test_studies_of_a_name_of_their_own_have_the_options_of_cases_and_workers() 
     wanted = options(CaseOptions, EngineOptions) | {"out"}
     assert wanted <= arguments(rare_event, SharedArguments)
     assert wanted - {"runs"} <= arguments(sobol_indices, SharedArguments)
+
+
+def test_signatures_show_every_option() -> None:
+    assert {"case", "campaign", "dispersions", "navigation", "control"} <= {*inspect.signature(run).parameters}
+    assert {"scheduler", "against", "rare", "sobol"} <= {*inspect.signature(campaign).parameters}
+    assert not any(each.kind is each.VAR_KEYWORD for each in inspect.signature(run).parameters.values())

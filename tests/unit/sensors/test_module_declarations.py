@@ -9,8 +9,10 @@ import pytest
 
 import hil
 from hil.config.tables.sensors import by_name
+from hil.errors import BadInput
 from hil.sensors import check
 from hil.sensors.module import checked
+from hil.sensors.trial import rehearsed
 
 
 def module(**changes: Any) -> type[hil.SensorModule]:
@@ -55,6 +57,34 @@ def module(**changes: Any) -> type[hil.SensorModule]:
 def test_declaration_that_lacks_or_contradicts_something_does_not_load(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         checked(module(**changes))
+
+
+def three_of_six(settings, truth, out):  # type: ignore[no-untyped-def]
+    out.sample.value[:] = truth.r_CT_H
+
+
+def beyond_the_last(settings, truth, out):  # type: ignore[no-untyped-def]
+    out.sample.value[int(truth.q_CH[3]) + 8] = 1.0
+
+
+def undeclared(settings, truth, out):  # type: ignore[no-untyped-def]
+    out.sample.value[1] = truth.r_CT_H[0]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "text"),
+    [
+        (
+            three_of_six,
+            r"Height\.measure raised ValueError: could not broadcast .* \(test_module_declarations.py, line \d+",
+        ),
+        (beyond_the_last, r"Height\.measure raised IndexError: index 9 is out of bounds for axis 0 with size 6"),
+        (undeclared, r"measure: out\.sample\.value has more components than the module declares, 1"),
+    ],
+)
+def test_kernel_of_another_shape_does_not_fly(kernel: Any, text: str) -> None:
+    with pytest.raises(BadInput, match=text):
+        rehearsed(checked(module(measure=staticmethod(kernel))))
 
 
 def test_sound_module_passes_its_check() -> None:

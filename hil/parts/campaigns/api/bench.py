@@ -26,6 +26,8 @@ from hil.core.manipulator_records import GIMBALS_FIELDS
 from hil.core.messages import new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
+from hil.core.plug_ins import raised_text
+from hil.core.public import public
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_backend import PythonGnc
 from hil.loop.outcome import Outcome
@@ -160,6 +162,7 @@ def _is_at_rest(runner: Runner, now_s: float) -> bool:
     return mode is Mode.SAFE_STOP or (mode in AT_REST and bench.at_rest(now_s))
 
 
+@public
 class Bench:
     """A bench, its devices open, for a test procedure in Python.
 
@@ -222,6 +225,8 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None:
+            log.error("bench: stopped, %s", raised_text("its procedure", error))
         self._end()
         if kind is None and self._failure is not None:
             raise self._failure
@@ -251,6 +256,7 @@ class Bench:
         run = self._judged_run()
         return [requirement.check(run) for requirement in self._requirements]
 
+    @public
     def write_evidence(self, folder: str | Path) -> None:
         """Write ``requirements.html``, ``.xml`` (JUnit) and ``.json`` with ``evidence`` into ``folder``."""
         write_run_evidence(folder, self._judged_run(), self.evidence)
@@ -284,6 +290,7 @@ class Bench:
         feedback.angle_rad, feedback.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
         return feedback
 
+    @public
     def axis_feedback(self, axis: str) -> tuple[float, float]:
         """Return the newest position and rate of one axis, by its encoder: m and m/s, or rad and rad/s.
 
@@ -301,10 +308,12 @@ class Bench:
         names = ", ".join(self._job.rig.value.axis_names)
         raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {names}")
 
+    @public
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""
         self._command(OperatorCommand.HOME, Mode.STANDBY, timeout_s)
 
+    @public
     def jog(self, axis: str, direction: int, duration_s: float) -> None:
         """Move one axis slowly, as long as an operator would press the key.
 
@@ -325,14 +334,17 @@ class Bench:
         step.ended = lambda runner, now_s: now_s - step.begun_s >= duration_s and self._operator.is_idle(runner)
         self._execute_step(step)
 
+    @public
     def arm(self, timeout_s: float = 300.0) -> None:
         """Move the bench to the start pose and wait for poses of the vision unit."""
         self._command(OperatorCommand.ARM, Mode.ARMED, timeout_s)
 
+    @public
     def disarm(self, timeout_s: float = 10.0) -> None:
         """Return from the start pose to standby; the axes stay where they are."""
         self._command(OperatorCommand.DISARM, Mode.STANDBY, timeout_s)
 
+    @public
     def start(self, until: Until = "end", timeout_s: float = float("inf")) -> Run:
         """Close the loop; return the run so far.
 
@@ -343,6 +355,7 @@ class Bench:
         """
         return self._fly(OperatorCommand.START, until, timeout_s)
 
+    @public
     def resume(self, until: Until = "end", timeout_s: float = float("inf")) -> Run:
         """Continue a run that is on hold; ``until``, ``timeout_s`` and result as for ``start``."""
         return self._fly(OperatorCommand.RESUME, until, timeout_s)
@@ -356,10 +369,12 @@ class Bench:
         self._operator.submit(OperatorCommand.STOP)
         self._end()
 
+    @public
     def park(self, timeout_s: float = 300.0) -> None:
         """Move the bench to the park position of the rig; the session ends there."""
         self._execute_step(_Step("park", OperatorCommand.PARK, lambda *_: False, timeout_s))
 
+    @public
     def reset(self, timeout_s: float = 60.0) -> None:
         """After a safe stop before the run whose cause is removed, open the devices again, in standby."""
         self._command(OperatorCommand.RESET, Mode.STANDBY, timeout_s)

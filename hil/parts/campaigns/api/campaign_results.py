@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from hil.api.frames import library
 from hil.api.results import Run
+from hil.api.run_comparison import RunComparison
 from hil.api.runs import RunRequest, log, run_job, run_or_raise
 from hil.core.messages import Array
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
 from hil.parts.campaigns.campaign import RIG, Sweep, campaign_digest, sweep_summary
@@ -99,6 +101,7 @@ class Campaign:
         rate: dict[str, float | int] = self.summary["pass_rate"]["passed"]
         return rate
 
+    @public
     def column(self, name: str) -> Any:
         """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
         if name not in self.cases.column_names:
@@ -106,6 +109,7 @@ class Campaign:
             raise BadInput.single("campaign", name, f"no such column: give one of {names}")
         return self.cases.column(name).to_numpy()
 
+    @public
     def why(self, case: int | None = None) -> dict[str, Any]:
         """Return why cases fail, by the keys of ``hil explain --json``: ``causes``, ``drivers``, ``score`` and others.
 
@@ -116,6 +120,7 @@ class Campaign:
         names = Design(self.job.scenario, self.job.seed).names
         return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
 
+    @public
     def run_case(self, case: int) -> Run:
         """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""
         if case not in range(len(self.cases)):
@@ -206,11 +211,25 @@ class Comparison:
         return f"<Comparison {names}: {second} and {first} of {self.summary['runs']} accepted>"
 
 
-def compare(first: Campaign, second: Campaign) -> Comparison:
-    """Return the paired differences of two campaigns, second minus first, case by case.
+@overload
+def compare(first: Campaign, second: Campaign) -> Comparison: ...
 
-    Raises BadInput if they do not have the same seed and number of cases.
+
+@overload
+def compare(first: Run, second: Run) -> RunComparison: ...
+
+
+@public
+def compare(first: Run | Campaign, second: Run | Campaign) -> Comparison | RunComparison:
+    """Return the comparison of two runs, recordings or campaigns, the second against the first.
+
+    Of campaigns the paired differences, case by case. Raises BadInput if they do not have the same seed and number of
+    cases, and for a run with a campaign.
     """
+    if isinstance(first, Run) and isinstance(second, Run):
+        return RunComparison(first, second)
+    if isinstance(first, Run) or isinstance(second, Run):
+        raise BadInput.single("compare", "", "a run and a campaign: give two runs or recordings, or two campaigns")
     if first.job.seed != second.job.seed or len(first.cases) != len(second.cases):
         text = "both campaigns must have the same seed and number of cases"
         raise BadInput.single("compare", "", text)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-from hil.api.jobs import BackendArguments, Overrides, check_count, named_as_argument, settings_of
+from hil.api.jobs import BackendArguments, Overrides, named_as_argument, settings_of
 from hil.config.scenario import Scenario
+from hil.core.public import public
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.parts.campaigns.api.campaign_request import CampaignRequest
@@ -70,6 +71,7 @@ def campaign(
 ) -> Any: ...
 
 
+@public
 def campaign(
     scenario: str | Path | Scenario,
     runs: int | None = None,
@@ -114,8 +116,6 @@ def campaign(
     CampaignStopped
         The disk is full, the scheduler is lost, or workers end again and again: completed cases are kept.
     """
-    for name, value, least in (("runs", runs, 1), ("workers", workers, 0), ("sobol", options.get("sobol"), 1)):
-        check_count(name, value, least)
     given: dict[str, Any] = dict(options)
     backends: Any = {part: given.pop(part) for part in PARTS if part in given}
     if (dispersions := given.pop("dispersions", None)) is not None:
@@ -126,6 +126,7 @@ def campaign(
         return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run()
 
 
+@public
 def sweep(
     scenario: str | Path | Scenario,
     key: str,
@@ -149,6 +150,7 @@ def sweep(
     return results
 
 
+@public
 def rare_event(
     scenario: str | Path | Scenario,
     event: str,
@@ -200,6 +202,7 @@ def rare_event(
     return study
 
 
+@public
 def sobol_indices(
     scenario: str | Path | Scenario,
     rows: int,

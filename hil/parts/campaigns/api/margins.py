@@ -12,12 +12,14 @@ from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.error_models import LAG_MAX_S
 from hil.config.tables.model import DELAY_MAX_S
+from hil.core.public import public
 from hil.core.surroundings import temporary_folder
 from hil.parts.campaigns.campaign import RIG, CampaignJob, write_summary
 from hil.parts.campaigns.engines import LocalEngine
 from hil.parts.campaigns.margins import DelayedPart, delay_margins, draw_margins
 
 
+@public
 def margins(
     scenario: str | Path | Scenario,
     runs: int = 20,
@@ -61,8 +63,6 @@ def margins(
     BadInput
         Invalid arguments, with one line per error.
     """
-    jobs.check_count("runs", runs, 1)
-    jobs.check_count("workers", workers, 0)
     with jobs.named_as_argument():
         settings = jobs.settings_of(overrides)
         flown, rig = jobs.loaded_scenario(scenario, settings).value, jobs.loaded_rig(RIG, settings).value

@@ -17,6 +17,7 @@ from hil.core.messages import CYCLE, Array
 from hil.errors import BadInput
 from hil.parts.campaigns.campaign import write_evidence
 from hil.parts.campaigns.requirements_page import VERIFIED, EvidenceRow
+from hil.recording.schema import present_column
 
 NOT_VERIFIED, NOT_REACHED = "not verified", "not reached"
 _FIELD: Final = re.compile(r"(\w+)(?:\.(\w+))?(?:\[(\d+)\])?")
@@ -66,12 +67,14 @@ class RunRequirement:
             raise BadInput.single(self.id, "from_s", f'{self.from_s!r:.40}: must be a time, or "ready"')
         if isinstance(self.quantity, str):
             self._column(np.zeros(1, CYCLE))
+        elif not callable(self.quantity):
+            raise BadInput.single(self.id, "quantity", f"{self.quantity!r:.40}: must be a column or a function")
 
     def _column(self, history: np.ndarray) -> Array:
         """Return the column of ``history`` that a text names. Raises BadInput."""
         text = str(self.quantity).strip()
         absolute = len(text) > 2 and text[0] == text[-1] == "|"
-        match = _FIELD.fullmatch(text[1:-1] if absolute else text)
+        match = _FIELD.fullmatch(present_column(text[1:-1] if absolute else text))
         values, names = history, ", ".join(CYCLE.names or ())
         for name in match.groups()[:2] if match else (text,):
             if name is None:

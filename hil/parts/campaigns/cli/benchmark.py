@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from hil.cli.options import Flag, Group, Output, Runs, Seed, Settings, Workers
-from hil.cli.output import print_columns
+from hil.cli.output import notices, print_columns
 from hil.errors import BadInput
 
 
@@ -65,7 +65,7 @@ def benchmark(
         overrides["gnc.control.backend"] = control
     if against is not None and not Path(against).is_dir():
         raise BadInput.single("--against", "", f"{against}: is no folder")
-    folder, console = Path(out), Console(stderr=True)
+    folder, console = Path(out), notices()
     with console.status("") as status:
         table = api.fly(rows, runs, folder, seed, overrides, workers, status.update, beside.ideal)
     if against is not None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli import options
-from hil.cli.output import say, write_json
+from hil.cli.output import notices, say, write_json
 from hil.cli.progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def campaign(
         **vars(variation),
         figures=True,
     )
-    console = Console(stderr=True)
+    console = notices()
     with ProgressBar(console, "campaign") as bar:
         results = request.run(bar.show, lambda line: say(line, console, "yellow"))
     summary = _as_json(results, request)

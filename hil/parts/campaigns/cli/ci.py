@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Console
-
 from hil.cli.options import File, Runs, Seed
-from hil.cli.output import write_json
+from hil.cli.output import notices, write_json
 from hil.core.files import write_text
 from hil.errors import BadInput
 
@@ -74,7 +72,7 @@ def ci(
     from hil.parts.campaigns.api.campaigns import campaign
 
     stored = None if base is None else _Base(Path(base), seed, runs)
-    folder, console = Path(out), Console(stderr=True)
+    folder, console = Path(out), notices()
     folder.mkdir(parents=True, exist_ok=True)
     _remove_campaign(folder / "campaign")
     with console.status(f"campaign of {runs} cases"):

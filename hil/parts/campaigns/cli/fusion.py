@@ -9,7 +9,7 @@ from rich.progress import track
 from rich.table import Table
 
 from hil.cli.options import Figure, File, Runs, Seed, Settings, Workers
-from hil.cli.output import say, write_json
+from hil.cli.output import notices, say, write_json
 
 _PASSED, _FAILED = 0, 1
 
@@ -44,7 +44,7 @@ def fusion(
     from hil.parts.campaigns.batch import worker_count
     from hil.parts.campaigns.fusion import Study, run_fusion
 
-    console = Console(stderr=True)
+    console = notices()
     with console.status("compiling the kernels that are not cached"):
         Study(settings, vmu_noise, seed).bound()
     done = iter(track(range(runs), "runs", console=console, disable=not console.is_terminal, transient=True))

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import File, Output, Runs, Seed, Settings, Workers
-from hil.cli.output import deliver
+from hil.cli.output import deliver, notices
 
 _PASSED, _FAILED = 0, 1
 _REASONS = 2
@@ -49,7 +49,7 @@ def margins(
     from hil.parts.campaigns.store import parquet
 
     parquet()
-    console = Console(stderr=True)
+    console = notices()
     with console.status("compiling the loop if it is not cached, up to two minutes") as status:
         flown, rig = loaded_scenario(scenario, settings).value, loaded_rig("mock", settings).value
         summary = search_margins(flown, rig, runs, out, seed, workers, status.update)

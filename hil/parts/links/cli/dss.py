@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from hil.cli.options import File, Flag, Group, RunOptions, Seconds, refuse, refuse_wires_in_use
-from hil.cli.output import say
+from hil.cli.output import notices, say
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def dss(
     if link_options.resume_by_gnc and bench.value.kind == "hardware":
         text = "a bench of hardware moves again by an act of its operator alone: type resume"
         raise BadInput.single("--resume-by-gnc", "", text)
-    console = Console(stderr=True)
+    console = notices()
 
     from hil.api.runs import RunRequest
     from hil.cli.run import run_and_print

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from cyclopts import App
-from rich.console import Console
 
 from hil.cli.options import File, Flag, Seconds, Settings
-from hil.cli.output import say, write_json
+from hil.cli.output import notices, say, write_json
 from hil.errors import BadInput
 from hil.parts.links.cli.dss import link_addresses
 
@@ -76,7 +75,7 @@ def gnc(
         key, text = f"gnc.{part}.backend", "flies on the bench: hil gnc runs the built-in GNC or a whole one"
         raise BadInput.single(loaded_scenario.where(key), key, f'"{name}": {text}')
     library = open_library(loaded.gnc, loaded_scenario.where(key_of(loaded.gnc)))
-    console = Console(stderr=True)
+    console = notices()
 
     def announce(text: str) -> None:
         say(text, console, "dim")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hil.cli.options import File, Flag, Seconds, Settings
-from hil.cli.output import deliver, say
+from hil.cli.output import deliver, notices, say
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def gnc_check(
     from hil.parts.links.gnc_check.check import check_gnc
 
     loaded = load_scenario(scenario, settings).value
-    console = Console(stderr=True)
+    console = notices()
     partner = _partner(gnc, loaded.gnc, dial, wait, console)
     try:
         with console.status("waiting for the GNC") as status:

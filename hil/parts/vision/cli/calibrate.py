@@ -29,7 +29,7 @@ from hil.cli.options import (
     refuse,
     refuse_wires_in_use,
 )
-from hil.cli.output import base_of, deliver, say, write_json
+from hil.cli.output import base_of, deliver, notices, say, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.files import write_text
 from hil.errors import BadInput, Problem
@@ -279,7 +279,7 @@ def _drive(
     held = weak_prior(setup, start.keep, axis_sigma, 1e-3 * sigmas.led_sigma_mm, 0.0)
     request = PlanRequest(driving.count, driving.near_m, driving.far_m, float(np.radians(driving.turn_deg)))
     plan = plan_drive(job, setup, held, request)
-    console = Console(stderr=True)
+    console = notices()
     compile_kernels_with_notice(job, console)
 
     announce = partial(say, console=console, style="dim")
@@ -318,7 +318,7 @@ def _calibrate(
     date = result.date or datetime.datetime.now().astimezone().date().isoformat()
     target = f"{HAND_HELD} {job.target_name(board)}" if start.hand_held else job.target_name(board)
     label = Label(result.id or f"vmu-{date}", date, target)
-    with ProgressBar(Console(stderr=True), "reading the views") as bar:
+    with ProgressBar(notices(), "reading the views") as bar:
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
         common = rig.value, geometry, given, limit_values, label, guess, bar.show
         if loaded is None:
@@ -409,7 +409,7 @@ def _calibrate_television(
     loaded, board = load_scene(scene).value, _board(start)
     assert board is not None
     size = loaded.camera.width, loaded.camera.height
-    with ProgressBar(Console(stderr=True), "reading the images") as bar:
+    with ProgressBar(notices(), "reading the images") as bar:
         fit = fit_camera(board_images(folder, size, board, bar.show), size, board)
     passed = fit.rms_px <= limits.max_rms_px
     write_json(fit.as_json(passed, limits.max_rms_px), result.json)
@@ -441,7 +441,7 @@ def _check(
 
     stored = read_back(load_geometry(known_path).value, known_path)
     loaded = read_views(Path(views))
-    with ProgressBar(Console(stderr=True), "reading the views") as bar:
+    with ProgressBar(notices(), "reading the views") as bar:
         checked = job.check(loaded, stored, _board(start), drift.moved, limits.range_m, bar.show)
     allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)
     deliver(drift_as_json(checked, allowed), json_path, lambda: print_check(checked, allowed, Console()))

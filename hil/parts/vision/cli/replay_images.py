@@ -6,9 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
-
-from hil.cli.output import deliver, print_columns, say
+from hil.cli.output import deliver, notices, print_columns, say
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -28,7 +26,7 @@ def replay_images(
     """Replay the images of a recording; return the exit code. Raises BadInput if it has none."""
     recorded = load(Path(recording))
     replays: dict[str, tuple[ImagesReplayed, bool]] = {}
-    with Console(stderr=True).status("replaying the images"):
+    with notices().status("replaying the images"):
         if vmu:
             replays["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
         if monitor:

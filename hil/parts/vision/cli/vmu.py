@@ -29,7 +29,7 @@ from hil.cli.options import (
     above_zero,
     bounded,
 )
-from hil.cli.output import commonest, deliver, file_path_problem, say
+from hil.cli.output import commonest, deliver, file_path_problem, notices, say
 from hil.cli.progress import ProgressBar
 from hil.core.files import replaced
 from hil.errors import BadInput
@@ -160,7 +160,7 @@ def vmu(
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
     endless = live or cameras is not None
-    console = Console(stderr=True)
+    console = notices()
     if isinstance(images, ImageFolder) and (note := images.depth_note()):
         say(note, console)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):

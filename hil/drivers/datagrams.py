@@ -1,0 +1,89 @@
+"""UDP wires: datagrams that a port of this computer receives, by the wall clock or counted in lock-step."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from typing import Final
+
+from hil.core.clock import BenchClock
+
+_LONGEST: Final = 65536
+_DELIVERED_WALL_S: Final = 1.0  # of a datagram that was announced
+
+
+def wire_key(port: int) -> str:
+    """Return the key of the wire to a UDP port, the same for both ends."""
+    return f"udp {port}"
+
+
+class DatagramPort:
+    """A port of this computer, with the interface of a serial port as far as readers use it.
+
+    timeout_s: longest wait of ``read``, wall time, bench time in lock-step. Raises OSError if it cannot be opened.
+    """
+
+    in_waiting = 0
+
+    def __init__(self, clock: BenchClock, host: str, port: int, timeout_s: float) -> None:
+        self.port = f"{host}:{port}"
+        self._timeout_s = timeout_s
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.settimeout(_DELIVERED_WALL_S)
+        self._wire = clock.wire(wire_key(port), 1)
+
+    @property
+    def number(self) -> int:
+        """Number of the port."""
+        return int(self._socket.getsockname()[1])
+
+    def read(self, size: int = _LONGEST) -> bytes:
+        """Return the next datagram, whole, b"" if none has come in time. Raises OSError after ``close``."""
+        descriptor = self._socket.fileno()
+        if not self._wire.wait(descriptor, self._timeout_s):
+            return b""
+        with suppress(TimeoutError):
+            if length := len(self._socket.recv(_LONGEST, socket.MSG_PEEK)):
+                return self._wire.read(descriptor, length)
+            self._socket.recv(1)  # an empty one
+        return b""
+
+    def close(self) -> None:
+        """Close the port. Idempotent."""
+        self._wire.close()
+        self._socket.close()
+
+
+class DatagramSender:
+    """The device's end of a UDP wire. port: to which it sends; None: one of 127.0.0.1 that is free."""
+
+    def __init__(self, clock: BenchClock, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        if port is None:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind((host, 0))
+                port = int(probe.getsockname()[1])
+        self.path = f"{host}:{port}"
+        self._socket.connect((host, port))
+        self._wire = clock.wire(wire_key(port), 0)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return b"": nothing is sent to the device."""
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Send one datagram; it is lost if no program receives it."""
+        for _ in range(2):  # the first may report that the one before was not received
+            with suppress(ConnectionRefusedError):
+                self._wire.write(self._socket.fileno(), data)
+                return
+
+    def close(self) -> None:
+        """Close the wire. Idempotent."""
+        self._wire.close()
+        self._socket.close()
