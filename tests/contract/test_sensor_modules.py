@@ -169,8 +169,6 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
         (settings("lidar", "sensors.s.rate_hz=200.0"), "sensors.s.rate_hz", "at most one measurement per cycle"),
         (settings("lidar", "sensors.s.latency_s=1.0", "gnc.navigation.memory_s=0.5"), "sensors.s.latency_s",
          "the filters remember"),
-        (settings("pose", "sensors.s.source=udp", "sensors.s.port=5005", "sensors.s.stamp=capture"),
-         "sensors.s.source", "needs the wall clock"),
         (settings("lidar", "gnc.library=own.so"), "gnc.library", "no such file"),
         (settings("star_tracker", faults_setting({"device": "sensor.s", "kind": "outlier", "at_s": 1.0, "value": 0.1})),
          "faults[0]", "star_tracker has no_sample"),
