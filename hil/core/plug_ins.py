@@ -1,7 +1,8 @@
 """Calls of code that users plug in: drivers, emulators, estimators, backends.
 
 What it raises or wrongly returns becomes a ``PlugInError``, one line with device, class, file and line; the traceback
-goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or hangs.
+goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or
+hangs.
 """
 
 from __future__ import annotations
@@ -134,6 +135,24 @@ def begin_of(method: Callable[..., Any]) -> str:
 def kernel_error(given: Any) -> BaseException | None:
     """Return what a kernel called by C has raised; None if what ``sys.unraisablehook`` was given is of others."""
     return given.exc_value if str(given.object).startswith(_COMPILED) else None
+
+
+@contextmanager
+def kernel_errors() -> Iterator[list[BaseException]]:
+    """Give the list of what kernels called by C raise within ``with``, instead of printing it."""
+    errors, hook = list[BaseException](), sys.unraisablehook
+
+    def note(given: Any) -> None:
+        if (error := kernel_error(given)) is None:
+            hook(given)
+        elif not errors:  # the first of what may be one per cycle
+            errors.append(error)
+
+    sys.unraisablehook = note
+    try:
+        yield errors
+    finally:
+        sys.unraisablehook = hook
 
 
 def is_of(device: object, error: BaseException) -> bool:
