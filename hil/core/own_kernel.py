@@ -10,6 +10,8 @@ import numpy as np
 
 from hil.core.jit import KernelCache, kernel
 
+RAISED: Final = 1
+"""What the C function of a kernel returns if the kernel has raised."""
 _KIND: Final = "inline, indices checked"
 
 
