@@ -173,11 +173,16 @@ def is_plug_in(kind: type) -> bool:
     return kind.__module__.partition(".")[0] not in ("hil", "builtins")
 
 
+def is_programs(file: str) -> bool:
+    """Return whether a file of code is of this program."""
+    return os.path.abspath(file).startswith(_HIL)
+
+
 @cache
 def is_users(file: str) -> bool:
     """Return whether a file of code is a user's, or of a package that registers something with this program."""
     path = os.path.abspath(file)
-    if file.startswith("<") or path.startswith(_HIL):
+    if file.startswith("<") or is_programs(file):
         return False
     parts = Path(path).parts
     if (folder := next((each for each in _PACKAGES if each in parts), None)) is not None:
