@@ -174,8 +174,9 @@ def _short_run(job: Job) -> Runner:
 
 
 def _short_job(job: Job, compiled: bool) -> Job:
-    """Return a short job on mocks with the built-in GNC."""
+    """Return a short job on mocks with the built-in GNC, and with modelled poses in place of cameras."""
     scenario = job.scenario.value
-    builtin = scenario.model_copy(update={"gnc": scenario.gnc.built_in()})
+    vmu = scenario.vmu.model_copy(update={"source": "model"}) if scenario.vmu.source == "cameras" else scenario.vmu
+    builtin = scenario.model_copy(update={"gnc": scenario.gnc.built_in(), "vmu": vmu})
     loaded = replace(job.scenario, value=builtin)
     return Job(loaded, job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=compiled)

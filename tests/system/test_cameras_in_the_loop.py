@@ -56,6 +56,10 @@ def run(duration_s: float, commands: dict[str, str] | None = None, killed: str =
         return runner.run()
 
 
+def test_kernels_are_loaded_before_a_run_through_cameras() -> None:
+    warm_up(Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", [SOURCE]), 0, 4.0, 1.0))
+
+
 @pytest.mark.slow
 def test_scheme_1_passes_through_cameras(tmp_path: Path) -> None:
     """Measured by ``hil run scheme-1 --rig emulated --set vmu.source=cameras --json -``, under ``vision``."""

@@ -21,7 +21,7 @@ from sims.stated_numbers import ROOT, estimate, interval, phrases, place, rows
 
 ROWS = rows()
 of_each_row = pytest.mark.parametrize("row", ROWS, ids=[row["command"] for row in ROWS])
-QUICK = ("benchmarks/drive_mechanics.py --duration 3", "sims/monitor_study.py independent --portions 2")
+QUICK = ("sims/monitor_study.py independent --portions 2",)
 SMALLEST = (
     "benchmarks/cameras_in_the_loop.py --duration 12", "benchmarks/campaign.py --seconds 1 --rounds 1 --scaling",
     "benchmarks/console.py --clients 1 --rounds 1 --seconds 2", "benchmarks/filters.py", "benchmarks/fmu.py",
@@ -29,7 +29,7 @@ SMALLEST = (
     "benchmarks/lateness.py --rounds 1 --seconds 1", "benchmarks/loop_stages.py", "benchmarks/monitor.py --frames 2",
     "benchmarks/plain_loop.py", "benchmarks/recording.py --seconds 2", "benchmarks/truth_step.py --span-s 4",
     "benchmarks/soak.py --bench-hours 0.02 --rig mock --out OUT", "benchmarks/vmu.py 1",
-    "benchmarks/vmu_detect.py --range-m 3", "benchmarks/vmu_layouts.py 1",
+    "benchmarks/vmu_detect.py --range-m 3", "benchmarks/vmu_layouts.py 1", "benchmarks/drive_mechanics.py --duration 3",
     "sims/benchmark_table.py --runs 1 --out OUT --page OUT.json", "sims/calibration_study.py 1",
     "sims/disturbances.py vmu --count 1 --seeds 1 --row clean", "sims/error_models.py 1 scheme-1-paper bias",
     "sims/fault_matrix.py running --lock-step", "sims/foxglove_layout.py", "sims/guard_volume.py 2 1",
@@ -65,7 +65,8 @@ def test_command_parses_and_its_scenario_exists(row: dict[str, Any], monkeypatch
         sets = [f"dispersions={value}" for option, value in given if option == "--dispersions"]
         if words[0] != "fusion":
             load_scenario(words[1], (*sets, *settings))
-            load_rig(dict(given).get("--rig", "mock"), tuple(settings))
+            if any(setting.startswith(("rig.", "--rig")) for setting in (*words, *settings)):
+                load_rig(dict(given).get("--rig", "mock"), tuple(settings))
         return
 
     class Parsed(Exception):
