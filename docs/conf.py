@@ -32,12 +32,11 @@ nb_execution_timeout = 900  # the first one compiles the kernels
 napoleon_google_docstring = False  # only sections with an underlined title
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_preserve_defaults = True
 
 # types without a page here: of other packages, and of this one where a caller needs only the documented fields
 nitpick_ignore_regex = [
     ("py:.*", r"(collections|enum|matplotlib|numpy|pa|pathlib|pyarrow|pydantic|typing)\..*"),
-    ("py:class", r"Figure|Job|Recorded|RunData"),
+    ("py:class", r"Figure|Job|Recorded|RunData|Path|Overrides|(Campaign|Study)Arguments"),
     ("py:class", r"hil\.api\.\w+\.\w+Arguments"),
     ("py:class", r"hil\.(recording\.read\.Recorded|recording\.replay\.\w+|report\.verdict\.Verdict)"),
     (
@@ -46,8 +45,9 @@ nitpick_ignore_regex = [
     ),
     (
         "py:class",
-        r"hil\.(vmu\.pose\.\w+|vmu\.unit\.Pose|parts\.monitor\.(sources\.VideoFrame|region\.Region)|core\.modes\.Mode)",
+        r"hil\.(vmu\.(pose\.\w+|unit\.Pose|ghosts\.LensGhosts)|core\.modes\.Mode|core\.alarms\.AlarmKind)",
     ),
+    ("py:class", r"hil\.parts\.monitor\.(sources\.VideoFrame|region\.Region)"),
 ]
 
 html_theme = "furo"

@@ -35,6 +35,8 @@ def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
     waived += _open_volume(rig, scenario)
     for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", SCENARIO_LIMITS, scenario)):
         for key, limit, value in values(limits, table):
+            if key == "gnc.integrity.vision_range_m" and not rig.has_vmu:
+                continue  # no poses are expected
             if limit.is_weaker(value, limit.recommended):
                 text = f"weak protection from {limit.protects}, recommended {limit.range_text(limit.recommended)}"
                 waived.append(Waiver(f"{prefix}{key}", f"{value:g}", text))

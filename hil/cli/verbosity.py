@@ -22,7 +22,7 @@ _LOG_FILE: Final = "--log-file"
 
 
 class Verbosity(NamedTuple):
-    """What a command prints beside its results."""
+    """What a command prints in addition to its results."""
 
     quiet: bool = False
     verbose: bool = False

@@ -27,7 +27,7 @@ from typing import Any, Final, Protocol, Self, cast
 from weakref import WeakValueDictionary
 
 from hil.core.fork_server import ForkedProcess, ForkServer
-from hil.core.plug_ins import plug_in_error, without_exit
+from hil.core.plug_ins import kernel_error, plug_in_error, without_exit
 from hil.core.stacks import STACK_SIGNAL, Stack, place_in
 from hil.core.surroundings import host_limit, unnamed_file
 from hil.errors import DeviceError, HilError, LinkLost, LinkTimeout, PlugInError, ProtocolError, one_line
@@ -200,7 +200,7 @@ class ChildProcess:
         return Stack(text[text.rindex(_FATAL) :], current=True) if _FATAL in text else Stack()
 
     def stack(self) -> Stack:
-        """Return where the threads of the child are, innermost first; [] if it does not tell."""
+        """Return where the threads of the child are, innermost first; [] if it does not answer."""
         if self._stderr.closed or self.exit_status():
             return Stack()
         start, size = os.fstat(self._stderr.fileno()).st_size, -1
@@ -223,7 +223,7 @@ class ChildProcess:
     def _stderr_text(self, start: int) -> str:
         if self._stderr.closed:
             return ""
-        start = max(start, os.fstat(self._stderr.fileno()).st_size - _STACK_BYTES)
+        start = max(0, start, os.fstat(self._stderr.fileno()).st_size - _STACK_BYTES)
         return os.pread(self._stderr.fileno(), _STACK_BYTES, start).decode(errors="replace")
 
     def wait_end(self, timeout_s: float) -> bool:
@@ -382,7 +382,13 @@ def serve(make: Callable[[Message], Service], when_orphaned: signal.Signals = si
         if not getattr(service, "report_thread", lambda _: False)(error):
             fail(error)
 
-    threading.excepthook = fail_thread
+    def fail_kernel(given: Any) -> None:
+        if (error := kernel_error(given)) is None:
+            sys.__unraisablehook__(given)
+        elif not failures:
+            fail(error)
+
+    threading.excepthook, sys.unraisablehook = fail_thread, fail_kernel
     exits = without_exit()
     exits.__enter__()  # as long as the process lives
     try:

@@ -1,7 +1,7 @@
 """Calls of code that users plug in: drivers, emulators, estimators, backends.
 
 What it raises or wrongly returns becomes a ``PlugInError``, one line with device, class, file and line; the traceback
-goes to the log. A process can note the calls under way, so that its parent knows what it has died or hangs in.
+goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or hangs.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ T = TypeVar("T")
 _PACKAGES: Final = ("site-packages", "dist-packages")
 _HIL: Final = str(Path(__file__).parents[1]) + os.sep
 _LIBRARY: Final = os.path.dirname(os.__file__) + os.sep
+_COMPILED: Final = "<numba."
 _DEPTH: Final = 4  # a group, its parts, their drivers, their links
 _DEBUGGERS: Final = ("bdb.py", "pdb.py", "pydevd.py", "debugpy")
 
@@ -94,7 +95,7 @@ def plug_in_error(device: str, error: BaseException) -> DeviceError:
 
 
 def wrong_return(device: str, method: Callable[..., Any], problem: str) -> PlugInError:
-    """Return the error of a ``method`` that returned what it may not: ``problem`` says what, and what is expected."""
+    """Return the error of a ``method`` that returned what it may not. problem: what, and what is expected."""
     return PlugInError(device, f"{_name(method)} returned {problem}{begin_of(method)}")
 
 
@@ -130,6 +131,11 @@ def begin_of(method: Callable[..., Any]) -> str:
     return f" ({location(code.co_filename, code.co_firstlineno)})" if code is not None else ""
 
 
+def kernel_error(given: Any) -> BaseException | None:
+    """Return what a kernel called by C has raised; None if what ``sys.unraisablehook`` was given is of others."""
+    return given.exc_value if str(given.object).startswith(_COMPILED) else None
+
+
 def is_of(device: object, error: BaseException) -> bool:
     """Return whether ``error`` was raised in a method of ``device``, or of an object that it consists of."""
     raising = [frame.f_locals.get("self") for frame, _ in traceback.walk_tb(error.__traceback__)]
@@ -143,7 +149,6 @@ def _parts_of(whole: object, depth: int) -> Iterator[object]:
         yield from _parts_of(part, depth - 1)
 
 
-@cache
 def is_plug_in(kind: type) -> bool:
     """Return whether a class is of another package."""
     return kind.__module__.partition(".")[0] not in ("hil", "builtins")

@@ -77,7 +77,7 @@ class DatagramSender:
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send one datagram; it is lost if nobody receives it."""
+        """Send one datagram; it is lost if no program receives it."""
         for _ in range(2):  # the first may report that the one before was not received
             with suppress(ConnectionRefusedError):
                 self._wire.write(self._socket.fileno(), data)

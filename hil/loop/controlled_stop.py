@@ -260,7 +260,7 @@ class RootCause:
                 return alarm.trip()
             self._loop.safety_io.check(now_s)
         except BenchError as cause:
-            if isinstance(self._fault, LinkLost):  # a root cause itself
+            if isinstance(self._fault, LinkLost | PlugInError):  # a root cause itself
                 return self._fault
             if not (chain_opened and isinstance(cause, SafetyTrip) and cause.alarm.code == table.SAFETY_CHAIN.code):
                 return cause

@@ -12,12 +12,19 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Final, Self
 
-from hil.core.plug_ins import is_debugged, is_users, location, plug_in_error, stack_of_thread, without_exit
+from hil.core.plug_ins import (
+    is_debugged,
+    is_users,
+    kernel_error,
+    location,
+    plug_in_error,
+    stack_of_thread,
+    without_exit,
+)
 from hil.errors import BenchError, DeviceError
 
 log = logging.getLogger("hil")
 _INTERRUPT: Final = signal.SIGRTMIN + 5
-_KERNEL: Final = "<Numba C callback"
 _PERIOD_S: Final = 0.25
 _RUNNER: Final = "runner.py"
 
@@ -32,8 +39,8 @@ class StepTimeout(BenchError):
 class LoopWatch:
     """Watch over the process of the loop, which enters it in its own thread.
 
-    progress: returns another value after each cycle or tick. timeout_s: returns the wall time after which a plug-in's
-    code that the loop calls is interrupted; a debugger in it prevents that. Errors of threads and of sensors' kernels,
+    progress: returns another value after each cycle or tick. timeout_s: returns the time, wall clock, after which code
+    of a plug-in that the loop calls is interrupted; a debugger in it prevents that. Errors of threads and of sensors' kernels,
     which no caller catches, are raised by ``check``.
     """
 
@@ -72,10 +79,10 @@ class LoopWatch:
         self._errors.append(plug_in_error(f"thread {given.thread.name if given.thread else 'unknown'}", error))
 
     def _on_unraisable(self, given: Any) -> None:
-        if not str(given.object).startswith(_KERNEL) or given.exc_value is None:
+        if (error := kernel_error(given)) is None:
             self._hooks[1](given)
-        elif not self._errors:
-            self._errors.append(plug_in_error("sensor", given.exc_value))
+        elif not self._errors:  # a kernel may be called once per cycle
+            self._errors.append(plug_in_error("sensor", error))
 
     def _watch(self) -> None:
         progress, moved_s = self._progress(), time.monotonic()

@@ -108,7 +108,7 @@ class Runner:
         self._watch = LoopWatch(lambda: (int(core.cycle), self._sequencer.ticks), self._step_timeout_s)
 
     def _step_timeout_s(self) -> float:
-        """Return the wall time after which a step of a plug-in that does not return is interrupted."""
+        """Return the time, s by the wall clock, after which a step of a plug-in is interrupted."""
         runs = self.rate.paced and self._modes.mode is Mode.RUNNING
         return _STEP_S if runs else self._plan.step_timeout_s
 

@@ -28,7 +28,7 @@ _QUANTITIES: Final = (
 class RunDivergence:
     """Divergence of the truths of two runs in one axis.
 
-    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest over the standard deviations of both runs together,
+    largest: size of the difference in ``unit``, at ``at_s``. sigmas: it over the standard deviations of both runs,
     of filter and dead band, None if the filters have none. beyond: fraction of the time above LEFT_SIGMAS. left_s:
     start of the first excursion of a second or more, None for never. of_tolerance: largest over Table III's tolerance.
     """

@@ -88,11 +88,11 @@ def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
         ),
         (
             '[[turntable.controllers]]\naxes = ["yaw"]\ndriver = "ascii"\n',
-            r'controllers\.0\.driver "ascii": drives roll, pitch, yaw, here yaw; allowed: cia402$',
+            r'ascii\.protocol "hil-ascii": drives roll, pitch, yaw, here yaw; allowed: a file for these$',
         ),
         (
             SUN.replace('"mock"', '"ascii"').replace("40.0]", "40.0, 0.0]") + SUN.splitlines()[-1].replace("yaw", "a"),
-            r'rotary_axes\.sun: driver "ascii": drives roll, pitch, yaw, here roll, yaw, a; allowed: cia402$',
+            r'rotary_axes\.sun: ascii\.protocol "hil-ascii": drives roll, pitch, yaw, here roll, yaw, a; allowed: a file',
         ),
         (
             "".join(

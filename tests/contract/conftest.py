@@ -17,7 +17,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Load the rig file first: without it no test would say that none was of its drivers."""
+    """Load the rig file first: without it the tests would pass, and none would be of its drivers."""
     if (rig_file := config.getoption("--driver-rig")) is not None:
         try:
             groups = load_rig(rig_file).value.axis_groups

@@ -197,7 +197,6 @@ WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "turntable-acu": lambda: _ascii("acu"),
     "two-rails-modbus": lambda: _without(RIG.rails, "z"),
     "one-rail-modbus-rtu": lambda: _without(RTU_RAILS, "x", "y"),
-    "two-gimbals-cia402": lambda: _without(RIG.turntable, "roll"),
     "yaw-cia402": lambda: _without(RIG.turntable, "roll", "pitch"),
     "yaw-ascii": lambda: _without(_ascii(ONE_AXIS), "roll", "pitch"),
     "one-modbus": lambda: _further("linear_axes", 1, "modbus"),

@@ -1,9 +1,9 @@
-"""Bugs planted in plug-ins: what the program says of each, and how long that takes.
+"""Bugs planted in plug-ins: what the program reports of each, and how long that takes.
 
     python -m tests.support.planted_bugs [--wall] [NAME ...]
 
-writes a package with the bug, runs it, and prints exit code, time and last line of each; ``PYTHON`` names another
-interpreter to run them with.
+writes a package with the bug, runs it, and prints exit code, time and last line of each. ``HIL``: folder of another
+version of the program to run.
 """
 
 from __future__ import annotations
@@ -152,8 +152,7 @@ if __name__ == "__main__":
     with hil.Bench(sys.argv[1], "scheme-1", overrides={{"rig.host.time": "lock_step"}}) as bench:
         bench.arm()
         pass  # procedure.body
-        bench.start(until=1.0)
-        time.sleep(5.0)
+        print(bench.start(until=1.0).stop, file=sys.stderr)
 """
 ENTRY: Final = """
 from dataclasses import replace
@@ -195,7 +194,7 @@ BUGS: Final = (
 
 
 class Reported(NamedTuple):
-    """What the program said of a bug. seconds: until its end. line: the last one of stderr. names: what it names."""
+    """What the program reported of a bug. seconds: until its end. line: the last one of stderr. names: what it names."""
 
     code: int
     seconds: float
@@ -234,7 +233,7 @@ def line_of(file: Path, bug: str) -> int:
 
 
 def run(folder: Path, bug: str, wall: bool = False) -> Reported:
-    """Plant the bug, run it, and return what was said. wall: by the wall clock instead of in lock-step."""
+    """Plant the bug, run it, and return what was reported. wall: by the wall clock instead of in lock-step."""
     file = plant(folder, bug)
     place, kind = bug.split()
     what = place.partition(".")[0]
@@ -245,14 +244,11 @@ def run(folder: Path, bug: str, wall: bool = False) -> Reported:
         settings += ["rig.vmu.estimator=planted", "vmu.source=rendered", "rig.vmu.driver=rs422"]
     if what == "sensor":
         settings.append("sensors.planted.kind=planted_range")
-    python = os.environ.get("PYTHON", sys.executable)
     options = ["--rig", str(folder / "rig.toml"), "--duration", "4", *([] if wall else ["--lock-step"])]
-    command = [python, "-m", "hil", "run", "scheme-1", *options, *typed(*settings)]
+    command = [sys.executable, "-m", "hil", "run", "scheme-1", *options, *typed(*settings)]
     if what == "procedure":
-        command = [python, "-m", "planted.procedure", str(folder / "rig.toml"), *settings]
-    path = os.pathsep.join((str(folder), *(each for each in sys.path if each)))
-    if "PYTHON" in os.environ:
-        path = str(folder)
+        command = [sys.executable, "-m", "planted.procedure", str(folder / "rig.toml"), *settings]
+    path = os.pathsep.join((str(folder), *filter(None, (os.environ.get("HIL"), *sys.path))))
     begun_s = time.monotonic()
     done = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=folder,
@@ -270,6 +266,8 @@ def run(folder: Path, bug: str, wall: bool = False) -> Reported:
         names = "SIGKILL" in lines[-1]
     if kind in ("none", "shape", "thread"):  # the line where the method begins, or that of the thread
         names = f"({file.name}, line " in lines[-1]
+    if place.startswith("procedure"):  # Python's own traceback follows the line
+        names = any(f"({file.name}, line {line_of(file, bug) if kind != 'thread' else ''}" in line for line in lines)
     return Reported(done.returncode, seconds, lines[-1], names, log)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,17 @@ def test_further_sensors_have_topics_and_a_row_in_the_report(tmp_path: Path, mon
         assert b"range_m" in message
     monkeypatch.setattr("hil.report.page.figures", lambda *_: ())
     assert ">ranger</td>" in report([load(path)])
+
+
+def test_whole_cycle_is_the_record_behind_the_encapsulation(recorded: Recorded, bag: Path) -> None:
+    with next(bag.glob("*.mcap")).open("rb") as file:
+        data = [m.data for _, _, m in make_reader(file).iter_messages(topics=["/cycle"])]
+    assert [each[4:] for each in data] == [row.tobytes() for row in recorded.cycles]
+    fields = [
+        line.split()[1] for part in definition(TOPICS["/cycle"]).split("=" * 80) for line in part.splitlines()[1:]
+    ]
+    assert all(re.fullmatch(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*|hil_msgs/\w+", name) for name in fields)
+    assert len(fields) > 60
 
 
 def test_truth_is_at_its_place_in_the_message(recorded: Recorded, bag: Path) -> None:

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import re
+import runpy
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
+from email import message_from_bytes
+from email.message import Message
+from importlib.metadata import version as version_of
 from pathlib import Path
 
 import pytest
@@ -68,8 +74,10 @@ def test_wheel_without_kernels_is_pure_and_has_the_files_of_hil_init(wheel: Path
 
 
 def test_wheel_with_kernels_has_the_tags_of_python_and_processor(tmp_path: Path) -> None:
-    for path in ("hil", "configs", "examples"):
-        shutil.copytree(ROOT / path, tmp_path / path, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
+    for path in ("hil", "configs", "examples", "docs"):
+        shutil.copytree(
+            ROOT / path, tmp_path / path, ignore=shutil.ignore_patterns("__pycache__", "kernels", "pictures")
+        )
     for path in ("pyproject.toml", "hatch_build.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / path, tmp_path / path)
     (tmp_path / "hil" / "vmu" / "kernels").mkdir()
@@ -83,8 +91,41 @@ def test_wheel_with_kernels_has_the_tags_of_python_and_processor(tmp_path: Path)
     run(*PIP, *build, tmp_path, env=environment)
     (found,) = (tmp_path / "dist").glob("*.whl")
     version = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    assert f"-{version}-{version}-" in found.name
-    assert "hil/kernels/of_a_test" in zipfile.ZipFile(found).namelist()
+    assert found.name.endswith(
+        f"-{version}-{version}-manylinux_2_28_{platform.machine()}.whl"
+    )  # an index takes no other
+    archive = zipfile.ZipFile(found)
+    assert "hil/kernels/of_a_test" in archive.namelist()
+    required = metadata_of(archive).get_all("Requires-Dist")
+    assert {f"{name}=={version_of(name)}" for name in ("numba", "llvmlite", "numpy")} <= set(required)
+
+
+def metadata_of(archive: zipfile.ZipFile) -> Message:
+    """Return the metadata of a wheel."""
+    (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+    return message_from_bytes(archive.read(name))
+
+
+def test_wheel_has_documentation_and_what_an_index_shows(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    assert "hil/docs/how-to/fly-a-law.md" in archive.namelist()
+    shown = metadata_of(archive)
+    assert shown["Author"] == "hil-bench contributors"
+    assert "docking" in shown["Keywords"]
+    text = str(shown.get_payload())
+    assert text.startswith("# hil-bench")
+    assert re.findall(r"\]\((?!https?:)", text) == []
+    (points,) = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
+    assert "hil-bench = hil.cli.main:main" in archive.read(points).decode()
+
+
+def test_links_of_the_description_are_completed_by_the_address_of_the_project() -> None:
+    described = runpy.run_path(str(ROOT / "hatch_build.py"))["described"]
+    text = "![plan](docs/a.png) and [page](docs/b.md#c), [site](https://x.org)"
+    assert described(text, "") == " and page, [site](https://x.org)"
+    assert described(text, "https://x.org/f/") == (
+        "![plan](https://x.org/f/docs/a.png) and [page](https://x.org/f/docs/b.md#c), [site](https://x.org)"
+    )
 
 
 @pytest.mark.slow

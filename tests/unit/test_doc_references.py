@@ -16,7 +16,7 @@ import hil
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DIRECTIVE = re.compile(
-    r"^\.\. (currentmodule|(?:auto)?(?:class|function|module|exception)):: ([\w.]+)(.*)$", re.MULTILINE
+    r"^\.\. (currentmodule|(?:auto)?(?:class|function|module|exception)):: ([\w.]+)(.*(?:\n   :.*)*)$", re.MULTILINE
 )
 
 

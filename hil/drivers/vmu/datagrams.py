@@ -1,4 +1,4 @@
-"""The vision unit on UDP: a camera or tracker of a laboratory's own, whose datagrams a frame file describes."""
+"""The vision unit on UDP: datagrams of a camera or tracker, described by a frame file."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from hil.maths import quat
 from hil.models.faults import SEED_BITS
 from hil.params import bench as bench_params
 from hil.params.sensors import sensors_of, settings_row
-from hil.parts.emulation.line_sensor import LineSensorEmulator
+from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorDatagrams
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.sensors.measurement import noise_of
 from hil.sensors.module import SensorKind
@@ -116,11 +116,12 @@ def emulated_sensor(
 
     measure_at(0.0, 0)
     rate_hz = config.rate_hz or kind.module.rate_hz
-    wire, encode = None, None
+    datagrams = None
     if by_datagrams:
-        wire, encode = DatagramSender(clock, config.host, config.port), _datagrams(kind, config, trial)
+        sender = DatagramSender(clock, config.host, config.port)
+        datagrams = SensorDatagrams(sender, _datagrams(kind, config, trial))
     times = rate_hz, config.latency_s
-    return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, wire, encode)
+    return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, datagrams)
 
 
 def _datagrams(kind: SensorKind, config: SensorConfig, trial: Trial) -> Callable[[float, Sequence[float]], bytes]:

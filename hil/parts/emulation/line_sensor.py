@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from hil.core.clock import BenchClock
 from hil.core.line_protocol import LineProtocol
@@ -17,11 +17,18 @@ from hil.parts.emulation.pty_line import PtyLine
 _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is dropped
 
 
+class SensorDatagrams(NamedTuple):
+    """Wire of a sensor on UDP. encode: returns the datagram of a measurement by its bench time, s, and components."""
+
+    wire: DatagramSender
+    encode: Callable[[float, Sequence[float]], bytes]
+
+
 class LineSensorEmulator:
-    """Sensor ``name`` on a pseudo terminal, or on ``wire``.
+    """Sensor ``name`` on a pseudo terminal, or on the wire of ``datagrams``.
 
     measure_at: returns the components of measurement ``number`` at a bench time, s, None if there is none. Each line
-    leaves ``latency_s`` after its measurement. encode: returns it by time and components; None: the protocol's.
+    leaves ``latency_s`` after its measurement.
     """
 
     def __init__(
@@ -32,15 +39,14 @@ class LineSensorEmulator:
         times: tuple[float, float],
         clock: BenchClock,
         seed: int = 0,
-        wire: DatagramSender | None = None,
-        encode: Callable[[float, Sequence[float]], bytes] | None = None,
+        datagrams: SensorDatagrams | None = None,
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
-        self._encode = encode or (lambda _, values: protocol.encode(values))
+        self._encode = datagrams.encode if datagrams else lambda _, values: protocol.encode(values)
         self._rate_hz, self._latency_s = times
         self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self._line = wire or PtyLine(protocol.baud, clock)
+        self._line = datagrams.wire if datagrams else PtyLine(protocol.baud, clock)
         self._measures = not protocol.start
         self._received, self._last = b"", b""
 

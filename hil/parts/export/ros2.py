@@ -64,12 +64,15 @@ _NUMBERS: Final = {"f8": "float64", "i8": "int64"}
 
 
 def _definition_of(fields: Fields) -> str:
-    """Return the definition of a message with the fields of a record; a nested one has the name of its field."""
+    """Return the definition of a message with the fields of a record, in lower case, as ROS 2 requires.
+
+    A nested message has the name of its field.
+    """
     lines = []
     for field in fields:
         kind = _NUMBERS[field.type] if isinstance(field.type, str) else f"hil_msgs/{field.name.capitalize()}"
         size = math.prod(np.atleast_1d(field.shape)) if field.shape != () else 0
-        lines.append(f"{kind}[{int(size)}] {field.name}" if size else f"{kind} {field.name}")
+        lines.append(f"{kind}[{int(size)}] {field.name.lower()}" if size else f"{kind} {field.name.lower()}")
     return "\n".join(lines)
 
 

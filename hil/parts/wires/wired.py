@@ -114,18 +114,21 @@ class WiredBench:
 
     def _found(self, fault: BenchError) -> str:
         """Return what ``failures`` does; the tracebacks that the processes have written go to the log."""
-        texts, ended = [], [each for each in self._all_processes.values() if each.exit_status()]
-        if isinstance(fault, LinkTimeout) and fault.device in (
-            IO,
-            *(each.name for each in ended),
-        ):  # ended in lock-step
-            texts, ended = [f"calling {each}" for each in self.calls(IO)], []
-        texts += [f"{each.name} {each.end_text()}" for each in ended if each.end_text() not in str(fault)]
-        if isinstance(fault, LinkLost | LinkTimeout) and not ended:
+        text, calls = str(fault), [f"calling {each}" for each in self.calls(IO)]
+        ended = [each for each in self._all_processes.values() if each.exit_status()]
+        if isinstance(fault, LinkTimeout) and fault.device in (IO, *(each.name for each in ended)):  # by lock-step
+            texts = calls
+        elif ended:  # unless the others have ended because of the one that the fault names
+            known = any(each.end_text() in text for each in ended)
+            texts = [] if known else [f"{each.name} {each.end_text()}" for each in ended]
+        elif isinstance(fault, LinkLost | LinkTimeout):
             of_device = [each for name, each in self.wires.emulators.items() if name.partition(".")[0] == fault.device]
-            silent = [each for name, each in self._all_processes.items() if f"{name} process" in str(fault)]
+            silent = [each for name, each in self._all_processes.items() if f"{name} process" in text]
             stands = ((each.name, place_in(each.stack())) for each in (*of_device, *silent))
-            texts += [f"{name} stands {where}" for name, where in stands if where and where not in str(fault)]
+            texts = [f"{name} stands {where}" for name, where in stands if where and where not in text]
+            texts += calls if f"{IO} process" in text and "calling" not in text else []
+        else:
+            texts = []
         self.log_tracebacks()
         return f" ({'; '.join(texts)})" if texts else ""
 

@@ -10,11 +10,12 @@ from hil.session.build import check
 from tests.support.run_settings import make_job
 
 NONE = ("rig.vmu.driver=none",)
+START = ("gnc.navigation.handover.sigma_m=0.02", "gnc.navigation.handover.sigma_deg=0.5")
 TRACKER = ("sensors.tracker.kind=pose",)
 
 
 def problem(*settings: str) -> str:
-    (found,) = check_observability(load_scenario("scheme-1", settings), load_rig("mock", NONE))
+    (found,) = check_observability(load_scenario("scheme-1", (*START, *settings)), load_rig("mock", NONE))
     return str(found)
 
 
@@ -33,7 +34,7 @@ def test_a_bench_without_sensors_is_refused_with_the_states() -> None:
     assert "gyro drift z not observed by the fused sensors (none)" in text
 
 
-def test_attitude_and_drift_are_missing_beside_positions_alone() -> None:
+def test_attitude_and_drift_are_missing_with_positions_alone() -> None:
     text = problem("sensors.gnss.kind=relative_gnss", "sensors.gnss.range_min_m=0.1")
     assert "attitude x, attitude y, attitude z, gyro drift x" in text
     assert "position" not in text
@@ -43,6 +44,11 @@ def test_a_witness_observes_nothing() -> None:
     assert "(none)" in problem(*TRACKER, "sensors.tracker.use=witness")
 
 
+def test_the_filters_need_a_start() -> None:
+    (found,) = check_observability(load_scenario("scheme-1", TRACKER), load_rig("mock", NONE))
+    assert 'gnc.navigation.handover: is missing: rig "mock" has no vision unit' in str(found)
+
+
 def test_cameras_do_not_go_with_a_bench_without_a_vision_unit() -> None:
     text = problem(*TRACKER, "vmu.source=rendered")
     assert 'vmu.source: "rendered": rig "mock" has no vision unit' in text
@@ -50,4 +56,4 @@ def test_cameras_do_not_go_with_a_bench_without_a_vision_unit() -> None:
 
 @pytest.mark.parametrize("rig", ["mock", "emulated"])
 def test_scenario_with_a_tracker_passes_all_checks_of_a_run(rig: str) -> None:
-    check(make_job(1.0, (*NONE, *TRACKER), rig=rig))
+    check(make_job(1.0, (*NONE, *TRACKER, *START), rig=rig))

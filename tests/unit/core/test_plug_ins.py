@@ -101,7 +101,7 @@ def test_calls_under_way_are_noted_until_they_return(monkeypatch: pytest.MonkeyP
     assert noted == [f"rails {method_text(Device().lose)}", ""]
 
 
-def test_files_of_users_are_told_from_those_of_the_program_and_of_libraries() -> None:
+def test_files_of_users_are_those_of_neither_the_program_nor_libraries() -> None:
     assert is_users(__file__)
     assert is_users("/home/lab/driver.py")
     assert not is_users(plug_ins.__file__)
@@ -121,7 +121,7 @@ Current thread 0x00007f02 (most recent call first):
 """
 
 
-def test_a_stack_says_where_the_code_of_a_plug_in_stands() -> None:
+def test_a_stack_names_the_line_of_a_plug_in() -> None:
     text = STACK.format(library=threading.__file__)
     assert place_in(Stack(text)) == "in exchange (driver.py, line 44)"
     assert place_in(Stack(text.replace("/lab/driver.py", json.__file__))) == ""

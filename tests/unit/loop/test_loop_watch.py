@@ -53,7 +53,7 @@ def test_an_error_of_a_thread_ends_the_next_cycle() -> None:
 
 def test_an_error_of_a_sensor_s_kernel_ends_the_next_cycle() -> None:
     with LoopWatch(lambda: 0, lambda: 60.0) as watch:
-        sys.unraisablehook(SimpleNamespace(object="<Numba C callback 'call'>", exc_value=ValueError("planted")))
+        sys.unraisablehook(SimpleNamespace(object="<numba.core.cpu.CPUContext>", exc_value=ValueError("planted")))
         with pytest.raises(PlugInError, match="sensor: it raised ValueError: planted"):
             watch.check()
 

@@ -31,7 +31,7 @@ def test_each_plot_has_labels_and_data(name: str, run: hil.Run) -> None:
     figure.canvas.draw()
     assert all(axes.has_data() for axes in figure.axes)
     assert {axes.get_xlabel() for axes in figure.axes} & {"time, s", "x in H, m"}
-    assert sum(bool(axes.get_ylabel()) for axes in figure.axes) >= 2
+    assert any(axes.get_ylabel() for axes in figure.axes)
 
 
 def test_nees_has_its_bounds_at_each_pose(run: hil.Run) -> None:

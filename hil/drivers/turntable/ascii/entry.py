@@ -14,14 +14,22 @@ from hil.errors import BadInput
 _BITS_PER_BYTE: Final = 10
 
 
+def _check(turntable: Turntable) -> None:
+    """Raise ValueError if the command set has other axes; one that cannot be read is reported by ``_check_files``."""
+    name = (turntable.ascii or AsciiTurntableLine()).protocol
+    try:
+        gimbals = load_protocol(name).value.gimbals
+    except BadInput:
+        return
+    if gimbals != turntable.axis_names:
+        axes = ", ".join(turntable.axis_names)
+        raise ValueError(
+            f'ascii.protocol "{name}": drives {", ".join(gimbals)}, here {axes}; allowed: a file for these'
+        )
+
+
 def _check_files(turntable: Turntable) -> list[str]:
-    if turntable.ascii is None:
-        return []
-    protocol = load_protocol(turntable.ascii.protocol)
-    if protocol.value.gimbals != turntable.axis_names:
-        text = f"{', '.join(protocol.value.gimbals)}: the rig has this driver for {', '.join(turntable.axis_names)}"
-        raise BadInput.single(protocol.source, "gimbals", text)
-    return protocol.value.warnings()
+    return load_protocol(turntable.ascii.protocol).value.warnings() if turntable.ascii is not None else []
 
 
 def _setpoints_hz(turntable: Turntable) -> float:
@@ -44,6 +52,7 @@ ENTRY: Final = DriverEntry(
     driver="hil.drivers.turntable.ascii.driver:AsciiTurntable",
     emulator="hil.parts.emulation.ascii_turntable:AsciiTurntableEmulator",
     wires=[WireKey("ascii.port", "serial")],
+    check=_check,
     check_files=_check_files,
     identity=_identity,
     axes=range(1, 4),

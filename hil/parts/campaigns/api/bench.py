@@ -26,6 +26,7 @@ from hil.core.manipulator_records import GIMBALS_FIELDS
 from hil.core.messages import new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
+from hil.core.plug_ins import raised_text
 from hil.core.public import public
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_backend import PythonGnc
@@ -224,6 +225,8 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None:
+            log.error("bench: stopped, %s", raised_text("its procedure", error))
         self._end()
         if kind is None and self._failure is not None:
             raise self._failure
