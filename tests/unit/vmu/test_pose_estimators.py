@@ -151,6 +151,7 @@ def test_led_ring_is_the_vision_unit() -> None:
         ("q_vt", np.array([0.0, 0.0, 0.0, 2.0]), "unit quaternion"),
         ("covariance", -np.eye(6), "positive definite"),
         ("covariance", np.eye(3), "covariance"),
+        ("noise", np.eye(3), "noise"),
     ],
 )
 def test_estimate_that_is_no_pose_stops_the_unit_with_a_device_error(field: str, value: Array, text: str) -> None:
