@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ import numpy as np
 from hil.core.fields import leaf_fields
 from hil.core.messages import CYCLE_FIELDS, Array
 from hil.errors import BadInput
-from hil.recording.schema import columns, flat_dtype
+from hil.recording.schema import columns, flat_dtype, present_column
 
 _AXES: Final = ("x", "y", "z")
 _QUATERNION: Final = ("q1", "q2", "q3", "q0")
@@ -37,11 +38,43 @@ def units_of(names: list[str]) -> dict[str, str]:
     return {name: field.unit for name, field in fields if field is not None and field.unit not in ("", "1")}
 
 
+class _Units(dict[str, str]):
+    """Units of columns, by their present and their earlier names."""
+
+    def __missing__(self, name: str) -> str:
+        if (present := present_column(name)) not in self:
+            raise KeyError(name)
+        return self[present]
+
+
+@cache
+def _table_class() -> Any:
+    """Return the class of a table of pandas whose columns are also found by their earlier names."""
+    base = library("pandas").DataFrame
+
+    def present(table: Any, name: Any) -> Any:
+        return present_column(name) if isinstance(name, str) and name not in table.columns else name
+
+    def get(table: Any, key: Any) -> Any:
+        several = isinstance(key, list)
+        return base.__getitem__(table, [present(table, name) for name in key] if several else present(table, key))
+
+    names = {"__getitem__": get, "_constructor": property(lambda _: _table_class()), "__module__": __name__}
+    return type("CycleTable", (base,), names)
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class of tables of pandas by its name, which pickled tables have."""
+    if name != "CycleTable":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _table_class()
+
+
 def to_pandas(records: np.ndarray, t_s: Array) -> Any:
     """Return a DataFrame of ``records`` (n,), indexed by time, s; units in ``attrs["units"]``."""
     pandas, columns = library("pandas"), columns_of(records)
-    frame = pandas.DataFrame(columns, index=pandas.Index(t_s, name="t_s"))
-    frame.attrs["units"] = units_of(list(columns))
+    frame = _table_class()(columns, index=pandas.Index(t_s, name="t_s"))
+    frame.attrs["units"] = _Units(units_of(list(columns)))
     return frame
 
 

@@ -1,7 +1,8 @@
 """Calls of code that users plug in: drivers, emulators, estimators, backends.
 
 What it raises or wrongly returns becomes a ``PlugInError``, one line with device, class, file and line; the traceback
-goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or hangs.
+goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or
+hangs.
 """
 
 from __future__ import annotations
@@ -136,6 +137,24 @@ def kernel_error(given: Any) -> BaseException | None:
     return given.exc_value if str(given.object).startswith(_COMPILED) else None
 
 
+@contextmanager
+def kernel_errors() -> Iterator[list[BaseException]]:
+    """Give the list of what kernels called by C raise within ``with``, instead of printing it."""
+    errors, hook = list[BaseException](), sys.unraisablehook
+
+    def note(given: Any) -> None:
+        if (error := kernel_error(given)) is None:
+            hook(given)
+        elif not errors:  # the first of what may be one per cycle
+            errors.append(error)
+
+    sys.unraisablehook = note
+    try:
+        yield errors
+    finally:
+        sys.unraisablehook = hook
+
+
 def is_of(device: object, error: BaseException) -> bool:
     """Return whether ``error`` was raised in a method of ``device``, or of an object that it consists of."""
     raising = [frame.f_locals.get("self") for frame, _ in traceback.walk_tb(error.__traceback__)]
@@ -154,11 +173,16 @@ def is_plug_in(kind: type) -> bool:
     return kind.__module__.partition(".")[0] not in ("hil", "builtins")
 
 
+def is_programs(file: str) -> bool:
+    """Return whether a file of code is of this program."""
+    return os.path.abspath(file).startswith(_HIL)
+
+
 @cache
 def is_users(file: str) -> bool:
     """Return whether a file of code is a user's, or of a package that registers something with this program."""
     path = os.path.abspath(file)
-    if file.startswith("<") or path.startswith(_HIL):
+    if file.startswith("<") or is_programs(file):
         return False
     parts = Path(path).parts
     if (folder := next((each for each in _PACKAGES if each in parts), None)) is not None:

@@ -6,7 +6,7 @@ import re
 import signal
 from typing import Final
 
-from hil.core.plug_ins import is_debugged, is_users, location
+from hil.core.plug_ins import is_debugged, is_programs, is_users, location
 
 STACK_SIGNAL: Final = signal.SIGRTMIN + 4
 """Lets a child process write the stacks of its threads to its stderr."""
@@ -32,14 +32,16 @@ class Stack(list[list[Frame]]):
         return any(is_debugged(file for file, _, _ in frames) for frames in self)
 
 
-def place_in(stack: list[list[Frame]]) -> str:
+def place_in(stack: list[list[Frame]], waits_count: bool = True) -> str:
     """Return where the code of a plug-in stands, as ``in FUNCTION (FILE, line N)``; "" if it stands nowhere.
 
-    A thread that is in it, or in the Python library called by it, comes before one that waits elsewhere.
+    A thread that is in it comes before one that it has left. waits_count: also if it waits in this program.
     """
     for depth in (1, None):
         for frames in stack:
             for file, line, function in frames[:depth]:
                 if is_users(file):
                     return f"in {function} ({location(file, line)})"
+                if is_programs(file) and not waits_count:
+                    break
     return ""

@@ -39,9 +39,9 @@ class StepTimeout(BenchError):
 class LoopWatch:
     """Watch over the process of the loop, which enters it in its own thread.
 
-    progress: returns another value after each cycle or tick. timeout_s: returns the time, wall clock, after which code
-    of a plug-in that the loop calls is interrupted; a debugger in it prevents that. Errors of threads and of sensors' kernels,
-    which no caller catches, are raised by ``check``.
+    progress: returns another value after each cycle or tick. timeout_s: returns the time, s by the wall clock, after
+    which code of a plug-in that the loop calls is interrupted; a debugger in it prevents that. Errors of threads and of
+    sensors' kernels, which no caller catches, are raised by ``check``.
     """
 
     def __init__(self, progress: Callable[[], object], timeout_s: Callable[[], float]) -> None:

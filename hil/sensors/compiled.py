@@ -16,11 +16,13 @@ from numba.np.numpy_support import carray
 
 from hil.core.jit import c_function
 from hil.core.own_code import compile_error
-from hil.core.own_kernel import RAISED, own_kernel
+from hil.core.own_kernel import own_kernel
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_SAMPLE, SENSOR_TRUTH
 from hil.errors import BadInput
 from hil.sensors.module import SensorKind, SensorModule
 
+DONE: Final = 1
+"""What the C function of a kernel returns, unless the kernel has raised."""
 _ARGUMENTS: Final = {"measure": (SENSOR_TRUTH, SENSOR_OUTPUT), "innovate": (SENSOR_ESTIMATE, SENSOR_INNOVATION)}
 
 
@@ -44,15 +46,11 @@ def _address(module: type[SensorModule], name: str, settings: np.dtype) -> int:
     first_layout, second_layout = _ARGUMENTS[name]
 
     def call(first, second, values):  # type: ignore[no-untyped-def]
-        code = 0
-        try:
-            function(
-                carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
-                carray(second, (1,), second_layout)[0],
-            )  # fmt: skip
-        except Exception:
-            code = RAISED
-        return code
+        function(  # what it raises goes to sys.unraisablehook, and the result is 0
+            carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
+            carray(second, (1,), second_layout)[0],
+        )  # fmt: skip
+        return DONE
 
     try:
         return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))

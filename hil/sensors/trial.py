@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 
 from hil.core.messages import Array, new
-from hil.core.own_kernel import RAISED, raised_by
-from hil.core.plug_ins import raised_text
+from hil.core.own_kernel import raised_by
+from hil.core.plug_ins import kernel_errors, raised_text
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
 from hil.errors import BadInput
-from hil.sensors.compiled import Addresses, addresses
+from hil.sensors.compiled import DONE, Addresses, addresses
 from hil.sensors.module import SensorKind
 
 _RANGE_M = 5.0
@@ -52,8 +52,9 @@ class Trial:
         return value
 
     def _call(self, name: str, first: np.record, second: np.record) -> None:
-        function = self._functions[name]
-        if function(_address(first), _address(second), self._values.ctypes.data) == RAISED:
+        with kernel_errors():
+            code = self._functions[name](_address(first), _address(second), self._values.ctypes.data)
+        if code != DONE:
             raise self._refusal(name, first, second)
 
     def _refusal(self, name: str, first: np.record, second: np.record) -> BadInput:

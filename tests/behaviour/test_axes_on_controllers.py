@@ -92,7 +92,7 @@ def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
         ),
         (
             SUN.replace('"mock"', '"ascii"').replace("40.0]", "40.0, 0.0]") + SUN.splitlines()[-1].replace("yaw", "a"),
-            r'rotary_axes\.sun: ascii\.protocol "hil-ascii": drives roll, pitch, yaw, here roll, yaw, a; allowed: a file',
+            r'sun: ascii\.protocol "hil-ascii": drives roll, pitch, yaw, here roll, yaw, a; allowed: a file for these$',
         ),
         (
             "".join(

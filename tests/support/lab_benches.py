@@ -76,12 +76,13 @@ BENCHES: Final = {
     "turned rails": TURNED_RAILS,
     "plane": PLANE,
     "target on one axis": TARGET_ON_ONE_AXIS,
+    "two rails, target on one axis": TWO_RAILS + RAILS_AND_YAW + TARGET_ON_ONE_AXIS,
 }
 
 
 def rig_file(folder: Path, bench: str, kind: str = "mock") -> str:
     """Return the path of a rig file of ``bench`` in ``folder`` that extends the shipped rig of ``kind``."""
-    base = f"{kind}-manipulator" if bench == "target on one axis" else kind
+    base = f"{kind}-manipulator" if "target" in bench else kind
     path = folder / "lab.toml"
     path.write_text(f'extends = "{base}"\nname = "lab"\n{BENCHES[bench]}', encoding="utf-8")
     return str(path)

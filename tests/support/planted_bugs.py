@@ -194,7 +194,7 @@ BUGS: Final = (
 
 
 class Reported(NamedTuple):
-    """What the program reported of a bug. seconds: until its end. line: the last one of stderr. names: what it names."""
+    """What the program reported of a bug. seconds: until its end. line: the last one of stderr. names: the bug."""
 
     code: int
     seconds: float

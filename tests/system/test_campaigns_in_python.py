@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -76,16 +77,21 @@ def test_run_is_a_table_of_pandas() -> None:
     pytest.importorskip("pandas")
     run = hil.run("scheme-1", duration_s=1.0)
     table = run.to_pandas()
-    np.testing.assert_array_equal(table["truth.r_CT_H.x"], run.truth.r_CT_H[:, 0])
+    np.testing.assert_array_equal(table["truth.r_CT_H[0]"], run.truth.r_CT_H[:, 0])
+    np.testing.assert_array_equal(table["navigation.q_CH.q0"], run.navigation.q_CH[:, 3])  # an earlier name
+    assert list(table[["truth.r_CT_H.x", "command.on.2"]].columns) == ["truth.r_CT_H[0]", "command.on[2]"]
+    assert pickle.loads(pickle.dumps(table[table.index > 0.5]))["truth.r_CT_H.z"].shape == (25,)
+    with pytest.raises(KeyError, match=r"truth\.r_CT_H\.w"):
+        table["truth.r_CT_H.w"]
     np.testing.assert_array_equal(table.index, run.t_s)
-    assert table.attrs["units"]["truth.r_CT_H.x"] == "m"
+    assert table.attrs["units"]["truth.r_CT_H[0]"] == table.attrs["units"]["truth.r_CT_H.x"] == "m"
     assert hil.campaign("scheme-1", 2, **SHORT).to_pandas().index.tolist() == [0, 1]
 
 
 def test_run_is_a_table_of_polars() -> None:
     pytest.importorskip("polars")
     run = hil.run("scheme-1", duration_s=1.0)
-    np.testing.assert_array_equal(run.to_polars()["navigation.q_CH.q0"].to_numpy(), run.navigation.q_CH[:, 3])
+    np.testing.assert_array_equal(run.to_polars()["navigation.q_CH[3]"].to_numpy(), run.navigation.q_CH[:, 3])
     assert hil.campaign("scheme-1", 2, **SHORT).to_polars().height == 2
 
 

@@ -108,7 +108,7 @@ def metadata_of(archive: zipfile.ZipFile) -> Message:
 
 def test_wheel_has_documentation_and_what_an_index_shows(wheel: Path) -> None:
     archive = zipfile.ZipFile(wheel)
-    assert "hil/docs/how-to/fly-a-law.md" in archive.namelist()
+    assert f"hil/{Path('docs', 'how-to', 'fly-a-law.md')}" in archive.namelist()
     shown = metadata_of(archive)
     assert shown["Author"] == "hil-bench contributors"
     assert "docking" in shown["Keywords"]
@@ -121,10 +121,10 @@ def test_wheel_has_documentation_and_what_an_index_shows(wheel: Path) -> None:
 
 def test_links_of_the_description_are_completed_by_the_address_of_the_project() -> None:
     described = runpy.run_path(str(ROOT / "hatch_build.py"))["described"]
-    text = "![plan](docs/a.png) and [page](docs/b.md#c), [site](https://x.org)"
+    text = "![plan](guide/a.png) and [page](guide/b.md#c), [site](https://x.org)"
     assert described(text, "") == " and page, [site](https://x.org)"
     assert described(text, "https://x.org/f/") == (
-        "![plan](https://x.org/f/docs/a.png) and [page](https://x.org/f/docs/b.md#c), [site](https://x.org)"
+        "![plan](https://x.org/f/guide/a.png) and [page](https://x.org/f/guide/b.md#c), [site](https://x.org)"
     )
 
 

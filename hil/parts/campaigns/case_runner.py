@@ -16,6 +16,7 @@ from hil.core import alarm_table as table
 from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
+from hil.core.plug_ins import kernel_errors, raised_text
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
@@ -119,9 +120,12 @@ class CaseRunner:
         if interlock := self._load(truth, seed):
             return stats, interlock
         self._backends.user_error = None
-        with self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
+        with kernel_errors() as raised, self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
             code = run_cycles(*self._arguments(truth, seed, _NO_HISTORY if history is None else history))
             stats.ended = code
+            if raised:
+                self._backends.user_error = raised[0]
+                return stats, f"sensor: {raised_text('', raised[0])}"
             return stats, self._reason(int(code))
 
     def _load(self, truth: Scenario, seed: int) -> str:

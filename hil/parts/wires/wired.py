@@ -22,7 +22,7 @@ from hil.core.stacks import place_in
 from hil.drivers.remote.io_layout import IO
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.wire_lock import locked_wires
-from hil.errors import BadInput, BenchError, LinkLost, LinkTimeout, Problem
+from hil.errors import BadInput, BenchError, LinkLost, LinkTimeout, Problem, SafetyTrip
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import LockStepRate, Rate, WallClockRate
@@ -121,10 +121,12 @@ class WiredBench:
         elif ended:  # unless the others have ended because of the one that the fault names
             known = any(each.end_text() in text for each in ended)
             texts = [] if known else [f"{each.name} {each.end_text()}" for each in ended]
-        elif isinstance(fault, LinkLost | LinkTimeout):
-            of_device = [each for name, each in self.wires.emulators.items() if name.partition(".")[0] == fault.device]
+        elif isinstance(fault, LinkLost | LinkTimeout | SafetyTrip):
+            device = text.partition(":")[0].partition(".")[0]
+            of_device = [each for name, each in self.wires.emulators.items() if name.partition(".")[0] == device]
             silent = [each for name, each in self._all_processes.items() if f"{name} process" in text]
-            stands = ((each.name, place_in(each.stack())) for each in (*of_device, *silent))
+            stands = [(each.name, place_in(each.stack(), waits_count=False)) for each in of_device]
+            stands += [(each.name, place_in(each.stack())) for each in silent]
             texts = [f"{name} stands {where}" for name, where in stands if where and where not in text]
             texts += calls if f"{IO} process" in text and "calling" not in text else []
         else:

@@ -126,6 +126,9 @@ def test_a_stack_names_the_line_of_a_plug_in() -> None:
     assert place_in(Stack(text)) == "in exchange (driver.py, line 44)"
     assert place_in(Stack(text.replace("/lab/driver.py", json.__file__))) == ""
     assert len(Stack(text, current=True)) == 1
+    waits = text.replace(f'{threading.__file__}", line 629', f'{plug_ins.__file__}", line 1')
+    assert place_in(Stack(waits)) == "in exchange (driver.py, line 44)"
+    assert place_in(Stack(waits), waits_count=False) == ""
     assert not Stack(text).is_debugged
 
 
