@@ -143,7 +143,10 @@ def measure(row: Row, whole: bool) -> tuple[int, Found]:
     with tempfile.TemporaryDirectory() as folder:
         names = names_of(row["command"].replace("{cases}", str(cases)), Path(folder))
     numbers = row["numbers"].items()
-    return cases, {name: estimate(kind, eval(measured, names)) for name, (kind, _, measured, *_) in numbers}
+    found = {name: estimate(kind, eval(measured, names)) for name, (kind, _, measured, *_) in numbers}
+    if not np.isfinite([number for number, _ in found.values()]).all():
+        raise RuntimeError(f"{row['command']}: a number has no value: {found}")
+    return cases, found
 
 
 def enter(command: str, found: Found) -> None:

@@ -49,9 +49,9 @@ def test_pages_state_the_numbers_of_the_table(row: dict[str, Any]) -> None:
         assert place(text, page.read_text(encoding="utf-8")), f"{page}: {text}"
 
 
-def test_each_command_is_that_of_one_row() -> None:
+def test_each_command_is_that_of_one_row_and_was_measured() -> None:
     assert [command for command, n in Counter(row["command"] for row in ROWS).items() if n > 1] == []
-    assert sum(len(row["numbers"]) for row in ROWS) >= 60
+    assert [row["command"] for row in ROWS if not row["commit"]] == []
 
 
 @of_each_row
