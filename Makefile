@@ -81,9 +81,10 @@ accessibility: .venv/ready
 	npm ci --no-audit --no-fund --prefix tests/accessibility
 	$(BIN)/pytest -n 0 tests/system/test_page_widths.py
 
-# warnings are errors: dead links, unknown references, failing cells of notebooks
+# warnings are errors: dead links, unknown references, failing cells of notebooks;
+# DOCS_OPTIONS="--define nb_execution_mode=off" leaves the notebooks to make slow
 docs: .venv/docs
-	$(BIN)/sphinx-build --quiet --fail-on-warning --nitpicky docs build/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --nitpicky $(DOCS_OPTIONS) docs build/docs
 
 docs-links: .venv/docs
 	$(BIN)/sphinx-build --quiet --builder linkcheck docs build/docs-links
