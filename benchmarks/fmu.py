@@ -65,7 +65,7 @@ def steps(settings: dict[str, str]) -> None:
         library = open_library(scenario.gnc)
         assert library is not None
         with library.open(gnc_setup(scenario)) as instance:
-            sent, output, call = new(GNC_INPUT), new(GNC_OUTPUT), STEP(library.step_address)
+            sent, output, call = new(GNC_INPUT), new(GNC_OUTPUT), STEP(instance.step_address)
             sent.mode, sent.reference_q_CH = GncMode.RUNNING, (0.0, 0.0, 0.0, 1.0)
             places = instance.address, np.asarray(sent).ctypes.data, np.asarray(output).ctypes.data
             print(f"step, {name:8} {fastest_us(lambda _, call=call, places=places: call(*places)):7.2f} us")

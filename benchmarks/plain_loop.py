@@ -16,6 +16,7 @@ from filterpy.kalman import KalmanFilter
 from hil.config.load import load_scenario
 from hil.core.messages import REFERENCE, new
 from hil.gnc import guidance
+from hil.gnc.control import rule_of
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import euler, quat
 from hil.params import dynamics as dynamics_params
@@ -223,14 +224,15 @@ class PlainLoop:
         ahead = np.concatenate([a @ self.point.a_CT_H, np.zeros(3)])
         votes = np.zeros(16)
         for i in range(6):
-            strong, lead, period = c.acceleration[i], c.lead[i], int(c.period[i])
+            strong, period = c.acceleration[i], int(c.period[i])
             if self.until[i] <= 0:
-                sigma = math.hypot(p[i], lead * p[3 + i]) if i < 3 else 0.0
+                sigmas = (p[i], p[3 + i]) if i < 3 else (0.0, 0.0)
+                lead, _, _, band = rule_of(c, i, *sigmas, strong * c.pulse_s)
                 reach = lead * c.correction_rate[i]
                 known = rate[i] + self.owed[i]
                 s = min(reach, max(-reach, error[i])) + lead * known + known * abs(known) / (2.0 * strong)
                 cycles = 0
-                if abs(s) > c.deadband[i] + c.deadband_sigmas[i] * sigma:
+                if abs(s) > band:
                     cycles = -int(math.copysign(min(period, max(1, int(abs(s) / (lead * strong * dt)))), s))
                 fed = round((self.owed[i] + ahead[i] * period * dt) / (strong * dt))
                 fed = min(period - cycles, max(-period - cycles, fed))
