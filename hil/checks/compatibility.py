@@ -20,7 +20,7 @@ from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
-from hil.config.tables.limits import SCENARIO_LIMITS, excess
+from hil.config.tables.limits import excess, scenario_limits
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
@@ -144,9 +144,7 @@ def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence
 
 def check_scenario_limits(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each protective limit of the scenario that is weaker than the kind of rig accepts."""
-    exceeded = excess(SCENARIO_LIMITS, scenario.value, rig.value.kind)
-    if not rig.value.has_vmu:  # no poses are expected, at any range
-        exceeded = [(key, text) for key, text in exceeded if key != "gnc.integrity.vision_range_m"]
+    exceeded = excess(scenario_limits(rig.value.has_vmu), scenario.value, rig.value.kind)
     return [Problem(scenario.where(key), key, text) for key, text in exceeded]
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hil.checks.compatibility import sign_off_gap
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, values
+from hil.config.tables.limits import RIG_LIMITS, scenario_limits, values
 from hil.errors import BadInput
 
 
@@ -33,10 +33,8 @@ def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
     """Return the limits that are weaker than recommended, on every kind of rig, and what hardware waives."""
     waived = list(_waivers(rig)) if rig.kind == "hardware" else []
     waived += _open_volume(rig, scenario)
-    for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", SCENARIO_LIMITS, scenario)):
+    for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", scenario_limits(rig.has_vmu), scenario)):
         for key, limit, value in values(limits, table):
-            if key == "gnc.integrity.vision_range_m" and not rig.has_vmu:
-                continue  # no poses are expected
             if limit.is_weaker(value, limit.recommended):
                 text = f"weak protection from {limit.protects}, recommended {limit.range_text(limit.recommended)}"
                 waived.append(Waiver(f"{prefix}{key}", f"{value:g}", text))

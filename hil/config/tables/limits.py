@@ -141,6 +141,7 @@ RIG_LIMITS: Final = (
 )
 """Limits of a rig; a table that the rig does not have is skipped."""
 
+_VISION_RANGE: Final = "gnc.integrity.vision_range_m"
 SCENARIO_LIMITS: Final = (
     Limit("gnc.fmu_timeout_s", "an FMU that hangs", 1.0, 10.0, 60.0),
     Limit("gnc.shadow.position_limit_m", "filters that differ from independent ones", 0.1, 1.0, 1e3),
@@ -161,7 +162,7 @@ SCENARIO_LIMITS: Final = (
     Limit("gnc.integrity.pose_sigma_max_m", "poses of no use", 2.0, 10.0, 1e3),
     Limit("gnc.integrity.pose_sigma_max_deg", "poses of no use", 45.0, 90.0, 180.0),
     Limit("gnc.integrity.pose_range_max_m", "poses of no use", 1e3, 1e4, 1e6),
-    Limit("gnc.integrity.vision_range_m", "an approach without poses", 5.0, 1.0, 1e-3, True),
+    Limit(_VISION_RANGE, "an approach without poses", 5.0, 1.0, 1e-3, True),
     Limit("gnc.integrity.suspect_after", "poses that are rejected", 20, 100, 1e6),
     Limit("gnc.integrity.close_after", "poses that are rejected", 40, 200, 1e6),
     Limit("gnc.integrity.reopen_after", "wrong poses after a closed gate", 4, 2, 2, True),
@@ -190,6 +191,11 @@ SCENARIO_LIMITS: Final = (
     Limit("integrity.time_to_alert_s", "an error that is noticed late", 5.0, 30.0, 3600.0),
 )
 """Limits of a scenario."""
+
+
+def scenario_limits(has_vmu: bool) -> tuple[Limit, ...]:
+    """Return SCENARIO_LIMITS; without a vision unit without that of its range: no poses are expected, at any range."""
+    return tuple(each for each in SCENARIO_LIMITS if has_vmu or each.key != _VISION_RANGE)
 
 
 def values(limits: tuple[Limit, ...], table: BaseModel) -> Iterator[tuple[str, Limit, float]]:
