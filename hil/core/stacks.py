@@ -23,8 +23,7 @@ class Stack(list[list[Frame]]):
         super().__init__()
         for part in re.split(r"^(?=(?:Current thread|Thread) 0x)", text, flags=re.MULTILINE)[1:]:
             if not current or part.startswith("Current"):
-                found = _FRAME.findall(part)
-                self.append([(file, int(line), function) for file, line, function in found])
+                self.append([(file, int(line), function) for file, line, function in _FRAME.findall(part)])
 
     @property
     def is_debugged(self) -> bool:

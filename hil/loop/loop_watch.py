@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from itertools import takewhile
 from types import FrameType
 from typing import Any, Final, Self
 
@@ -16,11 +17,11 @@ from hil.core.plug_ins import (
     is_debugged,
     is_users,
     kernel_error,
-    location,
     plug_in_error,
     stack_of_thread,
     without_exit,
 )
+from hil.core.stacks import place_in
 from hil.errors import BenchError, DeviceError
 
 log = logging.getLogger("hil")
@@ -99,12 +100,7 @@ class LoopWatch:
         stack = stack_of_thread(self._ident)
         if is_debugged(file for file, _, _ in stack):
             return ""
-        for file, line, function in stack:
-            if is_users(file):
-                return f"in {function} ({location(file, line)})"
-            if file.endswith(_RUNNER):
-                break
-        return ""
+        return place_in([list(takewhile(lambda frame: is_users(frame[0]) or not frame[0].endswith(_RUNNER), stack))])
 
     def _interrupt(self, text: str) -> None:
         log.error("loop: %s", text)
