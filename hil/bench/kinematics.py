@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
-from hil.maths.arrays import copy_into, fill
+from hil.maths.arrays import copy_into, cross_into, fill
 from hil.maths.record_view import copy_record
 
 _BLEND_M = 1.0  # over which the bench goes from full scale to its scale
@@ -159,9 +159,7 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
     quat.to_matrix_into(q, a)
     _body_rate(params.order, a, rates, w)
     quat.transform_back_into(q, params.lever_arm, arm)
-    arm_rate[0] = w[1] * params.lever_arm[2] - w[2] * params.lever_arm[1]
-    arm_rate[1] = w[2] * params.lever_arm[0] - w[0] * params.lever_arm[2]
-    arm_rate[2] = w[0] * params.lever_arm[1] - w[1] * params.lever_arm[0]
+    cross_into(w, params.lever_arm, arm_rate)
     quat.transform_back_into(q, arm_rate, arm_rate)
     quat.transform_back_into(params.q_HL, r, r)
     quat.transform_back_into(params.q_HL, v, v)
