@@ -26,10 +26,15 @@ from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
-from hil.core.surroundings import host_limit, leave_process, remove_temporary_folders, settle_matplotlib
+from hil.core.surroundings import (
+    GARBAGE_THRESHOLD,
+    host_limit,
+    leave_process,
+    remove_temporary_folders,
+    settle_matplotlib,
+)
 from hil.errors import BadInput, BenchError, CampaignStopped
 
-_GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
 _DELIVERED: Final = (PASSED, FAILED, INCOMPLETE)
@@ -85,7 +90,7 @@ def _show_completion() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
-    gc.set_threshold(_GARBAGE_THRESHOLD)
+    gc.set_threshold(GARBAGE_THRESHOLD)
     with suppress(AttributeError, OSError, ValueError):  # a stream that was closed from the start
         faulthandler.enable()  # a library of the user's that crashes is named by the stack
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable

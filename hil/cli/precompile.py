@@ -18,6 +18,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
 from hil.core.messages import CYCLE, IMU, MAX_POSES, POSE, TRUTH, new
 from hil.core.part import declared, imported
+from hil.core.surroundings import GARBAGE_THRESHOLD
 from hil.params import dynamics as dynamics_params
 from hil.session.assembly import Job, make_gnc
 from hil.session.compiled import mark_kernels_cached
@@ -92,7 +93,6 @@ def _compile_checks() -> None:
     _compile_verdict()
 
 
-_GARBAGE_THRESHOLD: Final = 50_000  # what the compiler makes stays: searches for garbage were a tenth of its time
 _GROUPS: Final[dict[str, Callable[[], None]]] = {
     "gnc": _compile_gnc,
     "stages": _compile_stages,
@@ -112,7 +112,7 @@ def groups() -> dict[str, Callable[[], None]]:
 
 def main() -> None:
     """Compile the group that the parent names; send how long it took, s. The parent's end ends this process."""
-    gc.set_threshold(_GARBAGE_THRESHOLD)
+    gc.set_threshold(GARBAGE_THRESHOLD)  # searches were a tenth of the compiler's time
     parent = Parent()
     os.nice(parent.configuration.get("niceness", 0))
     started_s = time.perf_counter()

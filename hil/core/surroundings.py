@@ -40,6 +40,9 @@ _KEPT_S: Final = 10 * 86_400.0  # a folder of another boot or container, whose p
 _NO_MEMORY: Final = re.compile("failed to map segment|[Cc]annot allocate memory|Unable to allocate")
 _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
+GARBAGE_THRESHOLD: Final = 50_000
+"""Objects between two searches for garbage: what is imported and compiled stays, and searches are in vain."""
+
 
 def users_own_folder(kind: Literal["cache", "config"]) -> Path | None:
     """Return the folder for files of this user that stay, which need not exist; None if the user has no home."""
