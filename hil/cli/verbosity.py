@@ -31,22 +31,22 @@ class Verbosity(NamedTuple):
 
 def taken(arguments: Sequence[str]) -> tuple[list[str], Verbosity]:
     """Return the other arguments, and the options of every command. Raises BadInput."""
-    rest, found, given = [], Verbosity(), iter(arguments)
+    rest, chosen, given = [], Verbosity(), iter(arguments)
     for each in given:
         if each == "--":
             rest += [each, *given]
         elif each in (*_QUIET, *_VERBOSE):
-            found = found._replace(quiet=found.quiet or each in _QUIET, verbose=found.verbose or each in _VERBOSE)
+            chosen = chosen._replace(quiet=chosen.quiet or each in _QUIET, verbose=chosen.verbose or each in _VERBOSE)
         elif each.partition("=")[0] == _LOG_FILE:
             file = each.partition("=")[2] or next(given, "")
             if not file:
                 raise BadInput.single(_LOG_FILE, "", "give the name of a file")
-            found = found._replace(log_file=file)
+            chosen = chosen._replace(log_file=file)
         else:
             rest.append(each)
-    if found.quiet and found.verbose:
+    if chosen.quiet and chosen.verbose:
         raise BadInput.single("--quiet", "", "not together with --verbose")
-    return rest, found
+    return rest, chosen
 
 
 class _Copied:

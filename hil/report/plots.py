@@ -65,14 +65,14 @@ def attitude(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figu
 def nees(history: np.ndarray, _scenario: Scenario, _verdict: Verdict) -> Figure:
     """Return the NEES of both filters at each pose, with the bounds of a single value and the expected mean."""
     figure, axes = axes_of(2, 1, 5.5, sharex=True)
-    found = nees_of(history)
+    of_poses = nees_of(history)
     for plot, (name, states) in zip(axes[:, 0], STATES.items(), strict=True):
-        values, (low, high) = getattr(found, name), getattr(found, f"{name}_bounds")
-        plot.axhspan(low, high, color="0.9", zorder=0, label=f"{100.0 * found.probability:g} % of one value")
+        values, (low, high) = getattr(of_poses, name), getattr(of_poses, f"{name}_bounds")
+        plot.axhspan(low, high, color="0.9", zorder=0, label=f"{100.0 * of_poses.probability:g} % of one value")
         plot.axhline(states, color="0.4", linestyle="--", linewidth=0.9, label=f"expected mean, {states}")
-        plot.plot(found.t_s, values, ".", markersize=2, color=COLOURS[0], rasterized=len(values) > figures.POINTS)
+        plot.plot(of_poses.t_s, values, ".", markersize=2, color=COLOURS[0], rasterized=len(values) > figures.POINTS)
         plot.set_ylabel(f"NEES {name}, {states} states")
-        plot.set_title(_inside(found, name), loc="left", fontsize=10)
+        plot.set_title(_inside(of_poses, name), loc="left", fontsize=10)
         shown = values[np.isfinite(values)]
         plot.set_ylim(0.0, max(1.6 * high, float(np.quantile(shown, 0.99)) * 1.1 if len(shown) else 0.0))
         plot.legend(loc="upper right", fontsize=8)
@@ -80,12 +80,12 @@ def nees(history: np.ndarray, _scenario: Scenario, _verdict: Verdict) -> Figure:
     return figure
 
 
-def _inside(found: Nees, name: str) -> str:
-    values = getattr(found, name)
+def _inside(of_poses: Nees, name: str) -> str:
+    values = getattr(of_poses, name)
     known = values[np.isfinite(values)]
     if not len(known):
         return "no NEES: no pose, or a filter without covariance"
-    return f"mean {known.mean():.2f}, {100.0 * found.inside(name):.1f} % of {len(known)} values in the bounds"
+    return f"mean {known.mean():.2f}, {100.0 * of_poses.inside(name):.1f} % of {len(known)} values in the bounds"
 
 
 def _angles_deg(history: np.ndarray, name: str, scenario: Scenario) -> Array:

@@ -75,7 +75,7 @@ def rehearsed(sensor: SensorKind) -> Addresses:
 
     Raises BadInput if one does not compile, raises, or writes components that the module does not declare.
     """
-    found, trial = addresses(sensor), Trial(sensor, np.array([setting.default for setting in sensor.settings]))
+    trial = Trial(sensor, np.array([setting.default for setting in sensor.settings]))
     for record in (trial.truth, trial.estimate):
         record.r_CT_H, record.q_CH, record.q_HI = (_RANGE_M, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)
         record.sun_I = (1.0, 0.0, 0.0)
@@ -90,4 +90,4 @@ def rehearsed(sensor: SensorKind) -> Addresses:
         if np.any(values[n:] != 0.0):
             text = f"{name} has more components than the module declares, {n}"
             raise BadInput.single("hil sensors", sensor.kind, text)
-    return found
+    return addresses(sensor)
