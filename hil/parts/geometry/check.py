@@ -92,7 +92,7 @@ def _weighted(covariance: Array, off: Array) -> float:
 
 def _cause(model: MachineModel, vector: Array, observations: Observations, off: Array, covariance: Array) -> str:
     """Return the cause whose free parameters leave the least chi-square, with a penalty for each of them."""
-    weight: Array = np.linalg.inv(covariance)
+    weight = np.asarray(np.linalg.inv(covariance), dtype=float)
     n = off.size
     nominal = model.predict(vector, observations.axes, observations.source)
     slopes: Array = nominal.slopes.reshape(n, -1)
@@ -127,7 +127,7 @@ def _explained(weight: Array, slopes: Array, off: Array, text: Callable[[Array],
     """Return chi-square and penalty after the errors with ``slopes`` (n, k) have been estimated, and their text."""
     normal = slopes.T @ weight @ slopes + np.eye(slopes.shape[1]) / _FREE**2
     y = off.ravel()
-    size: Array = np.linalg.solve(normal, slopes.T @ weight @ y)
+    size = np.asarray(np.linalg.solve(normal, slopes.T @ weight @ y), dtype=float)
     rest = y - slopes @ size
     return float(rest @ weight @ rest + slopes.shape[1] * np.log(len(y))), text(size)
 
