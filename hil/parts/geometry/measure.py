@@ -29,7 +29,7 @@ from hil.session import build
 from hil.session.build import Job
 from hil.session.pose_model import PoseSensor, make_pose_sensor
 
-CLEARANCE_M: Final = 0.1  # beyond the guard volume
+CLEARANCE_M: Final = 0.15  # beyond the guard volume
 _SETTLE_S: Final = 0.5  # at rest, before the first sample
 
 OnProgress = Callable[[str, float], None]
@@ -177,7 +177,7 @@ def clearance(job: Job) -> Clearance:
     """Return the guard volume of ``job`` for moves outside a run."""
     rig, scenario = job.rig.value, job.scenario.value
     bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-    return Clearance(bench, bench_params.axis_guard(rig, scenario), CLEARANCE_M)
+    return Clearance(bench, bench_params.axis_guard(rig, scenario), CLEARANCE_M, brakes=True)
 
 
 @contextmanager
