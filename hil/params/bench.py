@@ -12,7 +12,7 @@ from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
-from hil.config.bench_geometry import believed, built
+from hil.config.bench_geometry import errors_as_built, measured_errors
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
@@ -59,14 +59,14 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     _set_axes(params, slice(6), axes)
     params.reduced, params.fixed = rig.is_reduced, [axis.is_fixed for axis in axes]
     params.q_HL = quat.from_matrix(np.array(rig.bench.lab_axes).T)
-    set_geometry(params, rig, believed(rig))
+    set_geometry(params, rig, measured_errors(rig))
     return params
 
 
 def bench_as_built(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     """Return BENCH_PARAMS of the machine that a mock or emulated rig moves: ``bench`` unless it has errors."""
     params = bench(rig, step_s, shown)
-    set_geometry(params, rig, built(rig, shown.errors))
+    set_geometry(params, rig, errors_as_built(rig, shown.errors))
     return params
 
 
