@@ -31,7 +31,8 @@ def fields_of(data: bytes) -> Fields:
     at = 0
     while at < len(data):
         key, at = _read_varint(data, at)
-        kind, value = key & 7, None
+        kind = key & 7
+        value: Value | None = None
         if kind == _VARINT:
             value, at = _read_varint(data, at)
         elif kind == _BYTES:

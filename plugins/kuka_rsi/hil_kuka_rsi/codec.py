@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,6 +19,8 @@ JOINTS: Final = ("A1", "A2", "A3", "A4", "A5", "A6")
 RUNNING, STOPPED, SAFETY_STOP = 1, 2, 4
 """Element Stat of the telegram that the generated files define: correction active; ended; safety stop."""
 _MM: Final = 1000.0
+Rotation = Literal["frame", "angles"]
+"""A, B, C of a correction: a rotation about the axes of the base, or added to those of the pose."""
 
 
 @dataclass(frozen=True)
@@ -115,22 +117,33 @@ def pose_of(frame: Array) -> tuple[Array, Array]:
     return frame[:3] / _MM, axes
 
 
-def correction_between(start: Array, goal: Array) -> Array:
-    """Return the correction (6,) that takes the frame ``start`` to ``goal``: along and about the axes of the base."""
+def correction_between(start: Array, goal: Array, rotation: Rotation) -> Array:
+    """Return the correction (6,) that takes the frame ``start`` to ``goal``."""
+    if rotation == "angles":
+        return _wrapped(goal - start)
     (r, axes), (r_goal, axes_goal) = pose_of(start), pose_of(goal)
     return frame_of(r_goal - r, axes_goal @ axes.T)
 
 
-def corrected(start: Array, correction: Array) -> Array:
+def corrected(start: Array, correction: Array, rotation: Rotation) -> Array:
     """Return the frame (6,) to which ``correction`` takes ``start``."""
+    if rotation == "angles":
+        return start + correction
     (r, axes), (shift, turn) = pose_of(start), pose_of(correction)
     return frame_of(r + shift, turn @ axes)
 
 
-def uncorrected(goal: Array, correction: Array) -> Array:
+def uncorrected(goal: Array, correction: Array, rotation: Rotation) -> Array:
     """Return the frame (6,) that ``correction`` takes to ``goal``."""
+    if rotation == "angles":
+        return goal - correction
     (r, axes), (shift, turn) = pose_of(goal), pose_of(correction)
     return frame_of(r - shift, turn.T @ axes)
+
+
+def _wrapped(frame: Array) -> Array:
+    """Return a frame (6,) with its angles within half a turn."""
+    return np.concatenate([frame[:3], (frame[3:] + 180.0) % 360.0 - 180.0])
 
 
 def _parsed(data: bytes, tag: str) -> ElementTree.Element:

@@ -47,7 +47,7 @@ class RsiLink:
             state, seen = cycle.state, seen + 1
             if state.status in (None, codec.RUNNING) and seen > 1:
                 unit = np.zeros(6) if state.corrected is None else state.corrected
-                self._start = codec.uncorrected(state.commanded, unit)
+                self._start = codec.uncorrected(state.commanded, unit, self._settings.rotation)
                 self._pending, self._delayed_before = state, state.delayed
                 return self._flange(state)
             still = state.corrected if self._settings.mode == "absolute" else None
@@ -60,7 +60,7 @@ class RsiLink:
         if self._pending is not None and not self._ended:
             goal = codec.frame_of(target.position_m, target.axes)
             start = self._start if self._settings.mode == "absolute" else self._pending.commanded
-            self._send(self._pending.ipoc, codec.correction_between(start, goal))
+            self._send(self._pending.ipoc, codec.correction_between(start, goal, self._settings.rotation))
         self._pending = None
         cycle = self._cycles.next(may_be_silent=self._ended)
         if cycle is None:

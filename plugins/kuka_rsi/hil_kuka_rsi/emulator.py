@@ -105,11 +105,12 @@ class RsiController:
                 self._start = self._commanded = self._frame()
                 self._corrected = np.zeros(6)
             return True
+        rotation = self._settings.rotation
         if self._settings.mode == "absolute":
-            self._commanded = codec.corrected(self._start, correction)
+            self._commanded = codec.corrected(self._start, correction, rotation)
         else:
-            self._commanded = codec.corrected(self._commanded, correction)
-        self._corrected = codec.correction_between(self._start, self._commanded)
+            self._commanded = codec.corrected(self._commanded, correction, rotation)
+        self._corrected = codec.correction_between(self._start, self._commanded, rotation)
         self._robot.follow(FlangePose(now_s, *codec.pose_of(self._commanded), None), now_s, self._settings.period_s)
         return True
 

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from hil.config.tables.driver_registry import DriverEntry, WireKey
 from hil.config.tables.model import ConfigModel, NotNegative
+from hil_kuka_rsi.codec import Rotation
 from hil_robot_arms.settings import ArmGeometry
 
 
@@ -23,6 +24,8 @@ class RsiSettings(ConfigModel):
     """Cycle of the controller: 12 ms in mode #IPO, 4 ms in #IPO_FAST."""
     mode: Literal["absolute", "relative"] = "absolute"
     """Whether POSCORR adds a correction to the pose at its start, or in each cycle to the last one."""
+    rotation: Rotation = "frame"
+    """Whether A, B, C of a correction are a rotation about the axes of the base, or added to those of the pose."""
     sen_type: str = "ImFree"
     """SENTYPE of the Ethernet configuration; others are rejected by the controller."""
     late_max: Annotated[int, Field(ge=1, le=1000)] = 10

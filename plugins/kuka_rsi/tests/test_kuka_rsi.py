@@ -57,14 +57,15 @@ def test_damaged_telegram_is_refused(damaged: bytes) -> None:
         codec.decode_state(damaged)
 
 
-def test_frames_and_corrections_are_inverted() -> None:
+@pytest.mark.parametrize("rotation", ["frame", "angles"])
+def test_frames_and_corrections_are_inverted(rotation: codec.Rotation) -> None:
     draws = np.random.default_rng(3)
     for _ in range(100):
         start, goal = (np.array([*draws.uniform(-2e3, 2e3, 3), *draws.uniform(-89.0, 89.0, 3)]) for _ in range(2))
         assert codec.frame_of(*codec.pose_of(goal)) == pytest.approx(goal)
-        correction = codec.correction_between(start, goal)
-        assert codec.corrected(start, correction) == pytest.approx(goal)
-        assert codec.uncorrected(goal, correction) == pytest.approx(start)
+        correction = codec.correction_between(start, goal, rotation)
+        assert codec.corrected(start, correction, rotation) == pytest.approx(goal)
+        assert codec.uncorrected(goal, correction, rotation) == pytest.approx(start)
 
 
 class Sensor:

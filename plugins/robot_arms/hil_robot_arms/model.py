@@ -61,7 +61,8 @@ class ArmModel:
         r_L: of the turntable's centre in L, m. a_CL: takes components in L to c.
         """
         axes = linear.product(linear.product(self.a_B, a_CL.T), self.a_T)
-        return linear.product(self.a_B, r_L - self.r_B) - linear.product(axes, self.r_T), axes
+        position: Array = linear.product(self.a_B, r_L - self.r_B) - linear.product(axes, self.r_T)
+        return position, axes
 
     def pose_of(self, r_F: Array, axes: Array) -> tuple[Array, Array]:
         """Return r_L (3,) and a_CL (3, 3) of a flange in the base frame, the inverse of ``flange_of``."""
@@ -73,7 +74,7 @@ class ArmModel:
 
         Raises Unreachable for a pose beyond the reach, at a singularity, or that a joint or the cables do not allow.
         """
-        joints = self.zero + self.sign * np.array(self._model_joints(r_F, axes))
+        joints: Array = self.zero + self.sign * np.array(self._model_joints(r_F, axes))
         if near is None:  # the turn that is nearest to the middle of the travel
             near = self.travel.mean(axis=1)
         joints += _TURN * np.round((near - joints) / _TURN)
@@ -176,9 +177,9 @@ class ArmModel:
     def flange_axes(self, joints: Array) -> Array:
         """Return the axes of the flange in the base frame as columns, (3, 3)."""
         q1, q2, q3, q4, q5, q6 = (self.sign * (joints - self.zero)).tolist()
-        return linear.product(
-            linear.product(_z(q1), _y(q2 + q3)), linear.product(_z(q4), linear.product(_y(q5), _z(q6)))
-        )
+        wrist = linear.product(_z(q4), linear.product(_y(q5), _z(q6)))
+        turned: Array = linear.product(linear.product(_z(q1), _y(q2 + q3)), wrist)
+        return turned
 
 
 def _z(angle: float) -> Array:

@@ -93,7 +93,7 @@ def arm_model(arm: Arm) -> ArmModel:
     """Return the model of the robot of ``[arm]``, whose driver's table has a table ``geometry``."""
     given: ArmGeometry = arm.settings.geometry
     return ArmModel(
-        *(getattr(given.lengths, f"{name}_m") for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4")),
+        **{name.removesuffix("_m"): value for name, value in given.lengths},
         zero=np.radians(given.zero_deg),
         sign=np.array(given.signs, float),
         travel=np.radians(given.joint_travel_deg),
