@@ -90,7 +90,7 @@ def test_setpoint_beyond_the_travel_is_limited_and_one_that_is_no_number_is_refu
     with benches() as bench:
         now_s = bench.clock.now_s()
         assert bench.rails.send(np.full(3, 100.0), RESTS, now_s).tolist() == [12.0, 1.5, 1.5]
-        with pytest.raises(SafetyTrip, match=r"^setpoint of rails.x"):
+        with pytest.raises(SafetyTrip, match=r"^rails.x: setpoint nan"):
             bench.rails.send(np.full(3, np.nan), RESTS, now_s)
 
 

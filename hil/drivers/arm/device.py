@@ -71,7 +71,7 @@ def six_axes(rig: Rig) -> SixAxes:
     return SixAxes.model_construct(driver="arm", timeout_s=rig.arm.timeout_s, servo=rig.rails.servo, **axes)
 
 
-class Ramp(NamedTuple):
+class BrakingRamp(NamedTuple):
     """Braking from a point of the path, (6,) each, all axes in the same time, at most at their acceleration limits."""
 
     position: Array
@@ -80,7 +80,7 @@ class Ramp(NamedTuple):
     duration_s: float
 
     @classmethod
-    def begin(cls, position: Array, rate: Array, start_s: float, acceleration_max: Array) -> Ramp:
+    def begin(cls, position: Array, rate: Array, start_s: float, acceleration_max: Array) -> BrakingRamp:
         """Return the shortest ramp from a point with these rates."""
         return cls(position, rate, start_s, float((np.abs(rate) / acceleration_max).max()))
 
@@ -102,11 +102,11 @@ class ArmExchange:
     def __init__(self, rig: Rig, link: PoseLink, acceleration_max: Array) -> None:
         self._kinematics, self._link, self._acceleration_max = ArmKinematics(rig), link, acceleration_max
         self.error: DeviceError | None = None
-        """Why the robot refuses to go on; it then brakes and holds."""
+        """Refusal of a setpoint; the robot then brakes and holds."""
 
     def open(self) -> AxisFeedback:
         """Connect; return the present axes."""
-        self._ramp: Ramp | None = None
+        self._ramp: BrakingRamp | None = None
         self._ending = self._ended = False
         self.error = None
         flange = call("arm", self._link.open)
@@ -148,7 +148,7 @@ class ArmExchange:
                 assert before is not None
                 assert target.joints_rad is not None
                 model.model.check_rate(before, target.joints_rad, due_s - self._delivered_s)
-                model.target(Ramp.begin(position, rate, 0.0, self._acceleration_max).at(math.inf)[0], due_s, before)
+                model.target(BrakingRamp.begin(position, rate, 0.0, self._acceleration_max).at(math.inf)[0], due_s, before)
             return target
         except Unreachable as refused:
             self.error = self.error or DeviceError("arm", str(refused))
@@ -157,7 +157,7 @@ class ArmExchange:
 
     def _brake(self, now_s: float) -> None:
         if self._ramp is None:
-            self._ramp = Ramp.begin(self._delivered, self._rate, now_s, self._acceleration_max)
+            self._ramp = BrakingRamp.begin(self._delivered, self._rate, now_s, self._acceleration_max)
 
     def _feedback(self, flange: FlangePose) -> AxisFeedback:
         axes = self._kinematics.axes_of(flange, self._delivered)
@@ -171,7 +171,7 @@ class ArmExchange:
         return AxisFeedback(flange.t_s, axes, rate, _HOMED)
 
     def home(self) -> None:
-        """Nothing to do: a robot knows its joints."""
+        """Nothing to do: the joints have absolute encoders."""
 
     def move_to(self, position: Array, rate: Array) -> None:
         """Never called: the axes are moved by setpoints."""
@@ -236,7 +236,7 @@ class ArmAxes(CyclicAxisGroup):
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return the newest feedback. Raises the robot's own refusal to go on, DeviceError, LinkTimeout."""
+        """Return the newest feedback. Raises DeviceError, also for a refused setpoint, LinkTimeout."""
         if self._link.error is not None and not self._stopping.is_set():
             raise self._link.error
         return super().read(now_s)
@@ -255,7 +255,7 @@ class ArmAxes(CyclicAxisGroup):
         fraction = (now_s - sent_s) / period_s
         if fraction > 1.0 + _LATE:
             start = position + _LATE * period_s * rate
-            ramp = Ramp.begin(start, rate, sent_s + (1.0 + _LATE) * period_s, self._acceleration_max)
+            ramp = BrakingRamp.begin(start, rate, sent_s + (1.0 + _LATE) * period_s, self._acceleration_max)
             position, rate = ramp.at(now_s)
         elif fraction >= 1.0 or span is None:
             position = position + (now_s - sent_s - period_s) * rate
@@ -296,7 +296,7 @@ class ArmPart:
         self._axes.opened.add(self.name)
 
     def home(self, now_s: float) -> None:
-        """Nothing to do: a robot knows its joints."""
+        """Nothing to do: the joints have absolute encoders."""
 
     def set_jogging(self, on: bool) -> None:
         """While on, do not limit setpoints to the travel."""
