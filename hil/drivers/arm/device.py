@@ -148,7 +148,9 @@ class ArmExchange:
                 assert before is not None
                 assert target.joints_rad is not None
                 model.model.check_rate(before, target.joints_rad, due_s - self._delivered_s)
-                model.target(BrakingRamp.begin(position, rate, 0.0, self._acceleration_max).at(math.inf)[0], due_s, before)
+                model.target(
+                    BrakingRamp.begin(position, rate, 0.0, self._acceleration_max).at(math.inf)[0], due_s, before
+                )
             return target
         except Unreachable as refused:
             self.error = self.error or DeviceError("arm", str(refused))
