@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from hil.config.tables.arm import Arm
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
@@ -846,6 +847,8 @@ class Rig(FileTable):
     flight_computer: FlightComputer = FlightComputer()
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
+    arm: Arm | None = None
+    """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
     linear_axes: dict[Name, HeldLinearAxes] = Field(default_factory=dict)
@@ -951,6 +954,25 @@ class Rig(FileTable):
     def _one_thing_moves_the_target(self) -> Self:
         if self.moved_target is not None and self.rotated_target is not None:
             raise ValueError('rotary_manipulator.driver: does not go with target_manipulator, allowed "none"')
+        return self
+
+    @property
+    def moved_by_arm(self) -> bool:
+        """Whether a robot on wires stands for rails and turntable."""
+        return self.rails.driver == "arm"
+
+    @model_validator(mode="after")
+    def _an_arm_stands_for_both(self) -> Self:
+        drivers = {"rails": self.rails.driver, "turntable": self.turntable.driver}
+        expected = "mock" if self.kind == "mock" else "arm"
+        if self.arm is not None:
+            for key, driver in drivers.items():
+                if driver != expected:
+                    raise ValueError(f'{key}.driver = "{driver}": does not go with [arm], allowed "{expected}"')
+            if self.undriven or self.rails.controllers or self.turntable.controllers:
+                raise ValueError("arm: stands for six axes, allowed: none of them fixed or on a controller of its own")
+        elif "arm" in drivers.values():
+            raise ValueError('driver = "arm": needs the table [arm] of the robot')
         return self
 
     @model_validator(mode="after")
@@ -1064,6 +1086,8 @@ class Rig(FileTable):
         for key, group in groups.items():
             keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
             tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
+        if self.arm is not None and self.moved_by_arm:
+            tables["arm"] = self.arm
         if self.io is not None and self.has_io:
             tables["io"] = self.io
         return tables | ({"vmu": self.vmu} if self.has_vmu else {})

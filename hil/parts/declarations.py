@@ -169,6 +169,7 @@ WIRES: Final = Part(
     check_rig="hil.parts.wires.clock:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
+        "hil.drivers.arm.device", "hil.drivers.arm.entry",
         "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.datagrams", "hil.drivers.io.codec",
         "hil.drivers.io.coupler",
         "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",

@@ -83,7 +83,9 @@ def make_emulator(configuration: Message) -> Emulator:
         emulator = rig.axis_groups[device].parts(device)[name].make_emulator(clock, board, seed=seed, name=name)
         return emulator
     table: DeviceTable = getattr(rig, device)
-    if device == "io":
+    if device == "arm":
+        emulator = table.make_emulator(rig, clock, board, seed=seed)
+    elif device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
     elif part:
         from hil.parts.emulation.emulated_cameras import emulated_images
