@@ -26,6 +26,8 @@ def motion_digest(rig: Rig) -> str:
         if not table[key]:  # as before there were any
             del table[key]
     del table["vmu"]["drift_check"], table["host"]["cpu"]
+    if rig.floating is None:
+        del table["floating"]
     if rig.bench.lab_axes == UNIT_AXES:
         del table["bench"]["lab_axes"]
     if rig.console.on_loss != "continue":

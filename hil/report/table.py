@@ -61,6 +61,11 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     if run.gnc and run.gnc["library"] is not None:
         yield Text(f"GNC         {run.gnc['library']}")
     yield _navigation_text(run.navigation)
+    if truth := run.truth:
+        yield (
+            f"Truth       measured by {truth['measured_by']}, 1 sigma up to {1e3 * truth['sigma_m']:.2f} mm, "
+            f"{truth['sigma_deg']:.4f} deg; rates over {truth['rate_window_s']:g} s"
+        )
     for name, sensor in (run.sensors or {}).items():
         yield Text(f"Sensor      {name}: {_sensor_text(sensor)}")
     use, one, two = run.thrusters, number(".1f"), number(".2f")
@@ -176,10 +181,10 @@ def _security_text(part: results.Security) -> str:
     if abort is None:
         return text
     drift = abort.drift_from_end
+    adrift = "" if drift is None else f", then adrift for an orbit nearest {drift['nearest_m']:.2f} m"
     return (
         f"{text}; aborted at {abort.at_s:.2f} s ({abort.cause}): from {abort.range_m:.2f} m, nearest "
-        f"{abort.nearest_m:.2f} m, end {abort.range_at_end_m:.2f} m, then adrift for an orbit "
-        f"nearest {drift['nearest_m']:.2f} m"
+        f"{abort.nearest_m:.2f} m, end {abort.range_at_end_m:.2f} m{adrift}"
     )
 
 

@@ -20,10 +20,10 @@ from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.maths.random_streams import MixedSeed
-from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.importance_density import LOG_WEIGHT, ImportanceDensity, block_normals
 from hil.parts.campaigns.outcome import failed_row, row_of
+from hil.parts.campaigns.python_cases import case_runner
 from hil.parts.campaigns.sobol_indices import sobol_point
 
 Batch = tuple[int, int]
@@ -91,7 +91,7 @@ class Case:
         own = pickle.loads(spec.own) if spec.own else NO_BACKENDS
         scenario = named(scenario, own)
         self._design = Design(scenario, spec.seed)
-        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s, own)
+        self.runner = case_runner(scenario.value, self._rig, spec.duration_s, own)
         self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:
