@@ -19,9 +19,9 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import POSITION_ONLY, Array
 from hil.core.modes import Mode
 from hil.drivers.base import AxisGroup, PoseSource
-from hil.dynamics.measured_truth import fit_rates
+from hil.dynamics.floating import carry_on, fit_rates
 from hil.dynamics.thrusters import propellant_flow
-from hil.dynamics.truth import hold_in_plane, rate_against_hill
+from hil.dynamics.truth import rate_against_hill
 from hil.errors import DeviceError
 from hil.frmn.ring import Telemetry
 from hil.loop import core
@@ -110,16 +110,9 @@ class MeasuredTruth:
 
     def write(self, t_s: float) -> None:
         """Write the truth at ``t_s``: the newest pose in the plane, moved on; the start before the first one."""
-        truth = self._truth
-        truth.t_s = t_s
-        if self._n == 0:
-            return
-        ahead_s = t_s - self._t_s[0]
-        truth.r_CT_H, truth.v_CT_H = self._r[0] + ahead_s * self._v, self._v
-        truth.q_CH = quat.multiply(quat.from_rotation_vector(ahead_s * self._w), self._q[0])
-        truth.w_CI_C = self._w + quat.transform(truth.q_CH, truth.w_HI_H)
-        truth.mean_rate_C, truth.mean_force_C = truth.w_CI_C, 0.0
-        hold_in_plane(truth)
+        self._truth.t_s = t_s
+        if self._n:
+            carry_on(self._r[0], self._q[0], self._v, self._w, t_s - float(self._t_s[0]), self._truth)
 
     def numbers(self) -> dict[str, Any]:
         """Return for JSON who measures the truth, and the largest sigmas that were reported."""

@@ -74,7 +74,7 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
         f"({two(use.torque_on_time_360_400_s)} s in 360..400 s), "
         f"{sum(use.thruster_firings)} firings, propellant {use.propellant_kg:.3f} kg"
     )
-    yield from _bench_lines(run.bench, run.latency)
+    yield from _bench_lines(run.bench, run.latency, has_axes=run.truth is None)
     if run.clocks:
         yield f"Clocks      {_clocks_text(run.clocks, run.vision)}"
     if run.drift_check:
@@ -255,9 +255,9 @@ def _navigation_text(navigation: results.NavigationResults) -> str:
     )
 
 
-def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Iterator[str]:
-    """Yield the bench error and the latencies of pose and setpoint."""
-    if (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
+def _bench_lines(bench: results.BenchResults, latency: results.Latency, has_axes: bool) -> Iterator[str]:
+    """Yield the bench error, of a bench that has axes, and the latencies of pose and setpoint."""
+    if has_axes and (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
         fraction = bench.share_of_navigation_error
         share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
         yield f"Bench       camera error {errors}{share}"
@@ -266,7 +266,7 @@ def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Itera
             f"[yellow]            not shown: up to x y z {number('.3f')(bench.unseen_m)} m in H, "
             f"{number('.3f')(bench.unseen_deg)} deg about c, by axes without a drive[/]"
         )
-    if text := _energy_added_text(bench.energy or {}):
+    if has_axes and (text := _energy_added_text(bench.energy or {})):
         yield f"            {text}"
     if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:
         yield f"Emulated    camera error by the true axes, behind the encoders: {errors}"

@@ -12,9 +12,10 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, MAX_THRUSTERS, new
+from hil.dynamics.floating import step_on_floor
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.dynamics.truth import TRUTH_MEMORY, rate_against_hill, step
-from hil.maths import elementary, linear
+from hil.dynamics.truth import TRUTH_MEMORY, rate_against_hill
+from hil.maths import elementary
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 
@@ -76,16 +77,7 @@ class SimulatedVehicle:
         self._t_s = max(self._t_s, t_s)
         while self._floats and remaining_s > 0.0:
             self._dss.dt_s = dt_s = min(remaining_s, self._step_s)
-            step(self._dss, self._field, self._memory, self._truth, self._on)
-            self._pull_on(dt_s)
+            step_on_floor(
+                self._dss, self._field, self._memory, self._truth, self._on, self._pull, self._friction_mps2
+            )  # fmt: skip
             remaining_s -= dt_s
-
-    def _pull_on(self, dt_s: float) -> None:
-        """Let slope and friction of the floor act over a step."""
-        truth = self._truth
-        change = dt_s * self._pull
-        speed = linear.length(truth.v_CT_H + change)
-        if speed > 0.0:
-            change -= min(1.0, dt_s * self._friction_mps2 / speed) * (truth.v_CT_H + change)
-        truth.r_CT_H += 0.5 * dt_s * change
-        truth.v_CT_H += change
