@@ -25,6 +25,7 @@ from hil.config.tables.host import (
     TelemetryTable,
 )
 from hil.config.tables.io import Io
+from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.tables.open_table import FileTable
@@ -48,7 +49,7 @@ AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
 MIDDLE_AXIS_MAX_DEG = 85.0  # largest angle of the middle axis of a rotary manipulator
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
-GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
+GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]  # of three different axes
 UNIT_AXES: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _FIXED_LIMIT = 1.0  # m/s, m/s^2, deg/s, deg/s^2 of an axis without a drive, which never moves
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
@@ -61,6 +62,20 @@ class BenchGeometry(ConfigModel):
     """In c: turntable's centre of rotation to the point that represents the chaser's reference point."""
     gimbal_order: GimbalOrder = "zyx"
     """Gimbals from outer to inner; "zyx" is yaw, pitch, roll."""
+    rails_order: GimbalOrder = "xyz"
+    """Rails from the floor up: the first carries the others."""
+    geometry_file: str | None = None
+    """Measured geometry, of `hil geometry fit`: compensated in all motion; unless set, the bench counts as ideal."""
+    errors: MachineErrors = MachineErrors()
+    """How mock and emulated rigs are built wrong."""
+    tolerance_m: NotNegative = 1e-3
+    """Standard deviation of each parameter of the geometry that was not measured."""
+    tolerance_deg: NotNegative = 0.05
+    """The same for rotations."""
+    thermal_sigma_m: NotNegative = 0.0
+    """Drift of the bench since its geometry was measured, 1 sigma per axis."""
+    thermal_sigma_deg: NotNegative = 0.0
+    """The same for rotations."""
     camera_position_m: Triple = (0.6, 0.0, 0.0)
     """In c: chaser's reference point to the left camera."""
     camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))

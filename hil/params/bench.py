@@ -12,6 +12,7 @@ from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
+from hil.config.bench_geometry import believed, built
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
@@ -19,6 +20,7 @@ from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import new
 from hil.maths import linear, quat
 from hil.models.bodies import BODIES
+from hil.params.geometry import set_geometry
 
 
 def bodies(
@@ -53,7 +55,6 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     params.scaled_beyond = shown.scaled_beyond_m or 0.0
     params.scale = shown.scale
     params.dt_s = step_s / rig.ticks(step_s)
-    params.lever_arm = rig.bench.lever_arm_m
     params.order = _order(rig.bench.gimbal_order)
     axes = (*rig.rails.axes, *rig.turntable.axes)
     _set_axes(params, slice(6), axes)
@@ -61,6 +62,14 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     params.q_HL = quat.from_matrix(np.array(rig.bench.lab_axes).T)
     if rig.floating is not None:  # its axes are those of the measured pose
         params.low, params.high, params.rate_max, params.acceleration_max = -_FREE, _FREE, _FREE, _FREE
+    set_geometry(params, rig, believed(rig))
+    return params
+
+
+def bench_as_built(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
+    """Return BENCH_PARAMS of the machine that a mock or emulated rig moves: ``bench`` unless it has errors."""
+    params = bench(rig, step_s, shown)
+    set_geometry(params, rig, built(rig, shown.errors))
     return params
 
 

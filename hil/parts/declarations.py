@@ -313,6 +313,18 @@ COMMISSIONING: Final = Part(
     },
 )
 
+GEOMETRY: Final = Part(
+    name="geometry",
+    summary="Geometry of the bench: plan of poses, measurement, bundle fit, drift check.",
+    commands={
+        "geometry": PartCommand(
+            "hil.parts.geometry.cli:app",
+            "Geometry of the bench: plan poses, measure them, fit the parameters, check for drift.",
+            "hil geometry plan lab.toml -o plan.csv",
+        ),
+    },
+)
+
 EXPORT: Final = Part(
     name="export",
     summary="Recordings for other programs: Parquet, CSV, images, bags of ROS 2.",
@@ -327,5 +339,5 @@ EXPORT: Final = Part(
 )
 
 PARTS: Final = (
-    CORE, VISION, CAMPAIGNS, WIRES, MONITOR, CONSOLE, EMULATION, CAMERAS, LINKS, FMI, COMMISSIONING, EXPORT,
+    CORE, VISION, CAMPAIGNS, WIRES, MONITOR, CONSOLE, EMULATION, CAMERAS, LINKS, FMI, COMMISSIONING, GEOMETRY, EXPORT,
 )  # fmt: skip

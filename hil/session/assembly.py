@@ -183,7 +183,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
-    set_truth(params, job.truth, job.seed, dynamics_params.dss_as_built(job.truth, job.seed))
+    set_truth(params, job.truth, rig, job.seed, dynamics_params.dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
@@ -483,7 +483,8 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
     sensor = make_pose_sensor(scenario, rig, seed, images, mock.vision_memory)
 
     target = MockAxes("target", rig.target_axes) if rig.target_axes else None
-    bench, manipulator = bench_params.bench(rig, scenario.step_s, scenario.bench), bench_params.manipulator(rig)
+    bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
+    manipulator = bench_params.manipulator(rig)
 
     vehicle = None if rig.floating is None else SimulatedVehicle(scenario, rig, seed)
 

@@ -22,9 +22,8 @@ from hil.core.kernel_digest import digest_of
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
-from hil.gnc_backends.library import binary_digest
 from hil.loop.compiled.run_cycles import run_cycles
-from hil.parts.campaigns.batch import TRACEBACK, Spec
+from hil.parts.campaigns.batch import TRACEBACK, Spec, code_digest
 from hil.parts.campaigns.dispersions import Design
 from hil.parts.campaigns.engines import Engine
 from hil.parts.campaigns.explain import explain
@@ -231,8 +230,8 @@ def write_evidence(folder: Path, scenario: str, sources: dict[str, Any], rows: S
 
 
 def campaign_digest(scenario: Scenario, rig: Rig) -> str:
-    """Return a digest of scenario, rig and GNC binary."""
-    return _digest(scenario.model_dump_json(), rig.model_dump_json(), binary_digest(scenario.gnc))
+    """Return a digest of scenario, rig, and the files of GNC and sensors."""
+    return _digest(scenario.model_dump_json(), rig.model_dump_json(), code_digest(scenario))
 
 
 def scenario_digest(scenario: Scenario) -> str:

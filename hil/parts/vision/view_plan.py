@@ -86,7 +86,8 @@ def plan_views(
         text = f"{len(candidates)} views with the LEDs in both images within the travel, {request.count} are required"
         raise BadInput.single("--drive", "", text)
     chosen = _most_informative([_information(setup, turntable, held, axes) for axes in candidates], request.count)
-    return _short_way(candidates[chosen], bench, is_clear)
+    views = candidates[chosen]
+    return views[short_way(views, bench, is_clear)]
 
 
 def _candidates(
@@ -157,8 +158,8 @@ def _most_informative(matrices: list[Array], count: int) -> list[int]:
     return chosen
 
 
-def _short_way(views: Array, bench: np.record, is_clear: IsClear) -> Array:
-    """Return the views in the order of clear ways: from the farthest one on, each the nearest that is left.
+def short_way(views: Array, bench: np.record, is_clear: IsClear) -> list[int]:
+    """Return the numbers of ``views`` (n, 6) in the order of clear ways: from the farthest, each the nearest left.
 
     One that has no clear way from the last is put between two others; if there are none such, it is left out.
     """
@@ -178,4 +179,4 @@ def _short_way(views: Array, bench: np.record, is_clear: IsClear) -> Array:
             if is_clear(views[way[position - 1]], views[k]) and is_clear(views[k], views[way[position]]):
                 way.insert(position, k)
                 break
-    return views[way]
+    return way
