@@ -15,7 +15,7 @@ from hil.core.part import commands_of, declared, parts
 from hil.core.surroundings import temporary_folder_in
 from hil.errors import BadInput
 
-_NAME: Final = "tracker"
+_NAME: Final = "ranging"
 """Name of the part in its template."""
 _EXAMPLES: Final = {"gnc/law.py": "lqr.py", "gnc/observer.c": "observer.c"}
 """File of the repository -> example of a backend that it is a copy of."""
