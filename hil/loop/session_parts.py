@@ -33,7 +33,7 @@ class RunSinks(Protocol):
 class PartResult(NamedTuple):
     """Result of a part of a run. table: of the summary, with ``numbers``. rows: by the names of the part's sinks.
 
-    withheld: why the run has no verdict, "" if the part knows no reason.
+    withheld: why the run has no verdict, "" if the part has no reason.
     """
 
     table: str

@@ -38,7 +38,7 @@ _BYTES: Final = 65536
 Bodies = Mapping[int | str, BodyPose]
 
 
-class Server(Protocol):
+class TrackerServer(Protocol):
     """Server of a protocol. address: host:port of its wire."""
 
     address: str
@@ -66,7 +66,7 @@ class NatNetServer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self.address = "{}:{}".format(*self._socket.getsockname())
-        self._info = natnet.Server(version, _TICKS_HZ, port, group)
+        self._info = natnet.NatNetInfo(version, _TICKS_HZ, port, group)
         self._latency_s = latency_s
         self._ahead_s = 0.0
         self._clients: dict[tuple[str, int], float] = {}
@@ -215,7 +215,9 @@ class TextSender:
 class TrackerEmulator:
     """Tracker that measures the bodies of a bench at its rate, and serves its clients meanwhile."""
 
-    def __init__(self, config: Tracker, server: Server, true_pose: TruePose, clock: BenchClock, seed: int) -> None:
+    def __init__(
+        self, config: Tracker, server: TrackerServer, true_pose: TruePose, clock: BenchClock, seed: int
+    ) -> None:
         self._config, self._server, self._true_pose, self._clock = config, server, true_pose, clock
         self._bodies = MeasuredBodies(config, seed)
         self.faults = Faults(NAME, ("wire",))
@@ -263,7 +265,7 @@ def emulated_tracker(
         return pose_of(bench, np.concatenate(seen(t_s)))
 
     true_pose(0.0)  # compiles
-    server: Server
+    server: TrackerServer
     if config.driver == "natnet":
         server = NatNetServer((4, 1), config.latency_s)
     elif config.driver == "qtm":

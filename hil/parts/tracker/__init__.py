@@ -1,1 +1,1 @@
-"""Tracker of a bench: motion capture, laser tracker or total station as an independent truth of its poses."""
+"""Tracker of a bench: motion capture or laser tracker as an independent truth of its poses."""

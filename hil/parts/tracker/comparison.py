@@ -13,7 +13,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.maths import linear, quat
 from hil.parts.tracker.encoder_poses import EncoderPoses, Moment, difference
-from hil.parts.tracker.frames import BodyPose, Frame, Mounting
+from hil.parts.tracker.frames import BodyPose, Mounting, TrackedFrame
 from hil.parts.tracker.table import Tracker
 from hil.parts.tracker.times import LatencyEstimate, TrackerClock
 
@@ -26,7 +26,7 @@ _INDEPENDENT: Final = 4.0  # samples of a window, whose noise is correlated
 _NAN: Final = np.full(6, np.nan)
 
 
-class Status(IntEnum):
+class SampleStatus(IntEnum):
     """What became of a sample of a body."""
 
     OK = 0
@@ -37,16 +37,16 @@ class Status(IntEnum):
     FROZEN = 5
 
 
-class Sample(NamedTuple):
+class ComparedSample(NamedTuple):
     """A frame after its comparison. t_s: its moment in bench time. states: of each body, by its role.
 
     off: tracker less encoders, (6,), m in H and rad in c, nan if it does not count. moment: the bench by its encoders.
     pose: by the tracker, r in H (3,), m, and H to c (4,).
     """
 
-    frame: Frame
+    frame: TrackedFrame
     t_s: float
-    states: Mapping[str, Status]
+    states: Mapping[str, SampleStatus]
     off: Array = _NAN
     moment: Moment | None = None
     pose: tuple[Array, Array] | None = None
@@ -96,41 +96,41 @@ class BenchComparison:
         self.last_s = math.nan
         """Bench time of the last sample that counted."""
 
-    def moment_of(self, frame: Frame) -> float:
+    def moment_of(self, frame: TrackedFrame) -> float:
         """Return the moment of ``frame`` in bench time, s, with its latency. Once for each frame, in their order."""
         return self.clock.bench_s(frame)
 
-    def is_due(self, late_s: float, frame: Frame) -> bool:
+    def is_due(self, late_s: float, frame: TrackedFrame) -> bool:
         """Return whether the encoders have reached the moment of ``frame``, or it is ahead of its receipt.
 
         late_s: of ``moment_of``.
         """
         return late_s - self.latency.value_s <= self.encoders.newest_s or late_s > frame.received_s + _EARLY_S
 
-    def compare(self, frame: Frame, late_s: float) -> Sample | None:
+    def compare(self, frame: TrackedFrame, late_s: float) -> ComparedSample | None:
         """Return ``frame``, compared; None before the encoders, or the frame of the tracker, are known.
 
         late_s: of ``moment_of``.
         """
         t_s = late_s - self.latency.value_s
-        states = dict.fromkeys(self._mountings, Status.OK)
+        states = dict.fromkeys(self._mountings, SampleStatus.OK)
         if late_s > frame.received_s + _EARLY_S or t_s < frame.received_s - self._table.max_age_s:
-            return self._rejected(frame, t_s, dict.fromkeys(states, Status.OLD), Status.OLD)
+            return self._rejected(frame, t_s, dict.fromkeys(states, SampleStatus.OLD), SampleStatus.OLD)
         moment = self.encoders.at(t_s)
         if moment is None:
             return None
         places = [pose.position.tobytes() for pose in frame.bodies.values()]
         places, self._places = self._places, places
         if places and places == self._places:
-            return self._rejected(frame, t_s, dict.fromkeys(states, Status.FROZEN), Status.FROZEN)
+            return self._rejected(frame, t_s, dict.fromkeys(states, SampleStatus.FROZEN), SampleStatus.FROZEN)
         bodies = {role: frame.bodies.get(self._table.bodies[role].body) for role in states}
-        states |= {role: Status.LOST for role, pose in bodies.items() if pose is None}
+        states |= {role: SampleStatus.LOST for role, pose in bodies.items() if pose is None}
         if self._frame is None and not self._measure_frame(bodies, moment):
             return None
-        sample = Sample(frame, t_s, states, moment=moment)
+        sample = ComparedSample(frame, t_s, states, moment=moment)
         return self._judge(sample, {role: pose for role, pose in bodies.items() if pose is not None})
 
-    def _judge(self, sample: Sample, bodies: Mapping[str, BodyPose]) -> Sample:
+    def _judge(self, sample: ComparedSample, bodies: Mapping[str, BodyPose]) -> ComparedSample:
         """Return ``sample`` with what its ``bodies`` show; their differences are added to the windows."""
         frame, t_s, states, _, moment, _ = sample
         assert moment is not None
@@ -139,18 +139,18 @@ class BenchComparison:
         far = [role for role, off in offs.items() if off is not None and self._is_far(off)]
         if far and self._is_swapped(bodies, moment):
             return self._rejected(
-                frame, t_s, states | dict.fromkeys(("chaser", "target"), Status.SWAPPED), Status.SWAPPED
+                frame, t_s, states | dict.fromkeys(("chaser", "target"), SampleStatus.SWAPPED), SampleStatus.SWAPPED
             )
         for role, off in offs.items():
             since_s = self._outlier_since.setdefault(role, t_s) if role in far else self._outlier_since.pop(role, t_s)
             if role in far and t_s - since_s < WINDOW_S:
-                states[role] = Status.OUTLIER
+                states[role] = SampleStatus.OUTLIER
             elif off is not None:
                 sigma = max(self._table.sigma_m, bodies[role].error_m)
                 self._windows[role].append((t_s, off, sigma))
             elif role in self._first:
                 self._measure_body(role, bodies[role])
-        if states["chaser"] is not Status.OK:
+        if states["chaser"] is not SampleStatus.OK:
             return self._rejected(frame, t_s, states, states["chaser"])
         self.counts["ok"] += 1
         self.last_s, self._moment = t_s, moment
@@ -168,9 +168,11 @@ class BenchComparison:
         while self._recent and self._recent[0][0] < t_s - 2.0 * WINDOW_S:
             self.latency.add(*self._recent.popleft()[1:])
 
-    def _rejected(self, frame: Frame, t_s: float, states: Mapping[str, Status], reason: Status) -> Sample:
+    def _rejected(
+        self, frame: TrackedFrame, t_s: float, states: Mapping[str, SampleStatus], reason: SampleStatus
+    ) -> ComparedSample:
         self.counts[reason.name.lower()] += 1
-        return Sample(frame, t_s, states)
+        return ComparedSample(frame, t_s, states)
 
     def _in_bench(self, body: BodyPose, moment: Moment) -> tuple[Array, Array]:
         """Return r in H (3,), m, and q, H to c, (4,), of the chaser's ``body``; of a point with the encoders' q."""
@@ -284,7 +286,7 @@ class BenchComparison:
             return (
                 "chaser and target have moved alike, the body on the floor has not: the base of the bench has moved"
                 if "reference" in found
-                else "chaser and target have moved alike: the tracker or the whole bench, tracker.reference would tell"
+                else "chaser and target have moved alike: the tracker or the whole bench (see tracker.reference)"
             )
         assert self._moment is not None
         off = np.nan_to_num(chaser.mean)

@@ -22,7 +22,7 @@ class BodyPose(NamedTuple):
     error_m: float = 0.0
 
 
-class Frame(NamedTuple):
+class TrackedFrame(NamedTuple):
     """What a tracker has measured at a moment. stamp_s: of its clock. received_s: bench time of the receipt.
 
     bodies: those that are tracked, by streaming ID or name. age_s: from the moment to the sending, by the tracker's
@@ -40,7 +40,7 @@ class TrackerSource(Protocol):
 
     failure: str
 
-    def poll(self, now_s: float) -> list[Frame]:
+    def poll(self, now_s: float) -> list[TrackedFrame]:
         """Return the frames received since the last call; never waits. now_s: bench time."""
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import LinkLost
 from hil.maths import quat
 from hil.parts.tracker import natnet, qtm
-from hil.parts.tracker.frames import BodyPose, Frame
+from hil.parts.tracker.frames import BodyPose, TrackedFrame
 from hil.parts.tracker.table import Tracker
 
 NAME: Final = "tracker"
@@ -34,10 +34,10 @@ _BYTES: Final = 65536
 NowS = Callable[[], float]
 
 
-class Client(Protocol):
+class TrackerClient(Protocol):
     """A connected client. Errors: OSError, ValueError, struct.error."""
 
-    def read(self) -> Iterator[Frame]:
+    def read(self) -> Iterator[TrackedFrame]:
         """Yield the frames that arrive within a bounded wait."""
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class NatNetClient:
             raise
         self._alive_s = time.monotonic()
 
-    def read(self) -> Iterator[Frame]:
+    def read(self) -> Iterator[TrackedFrame]:
         """Yield the frames that arrive within a bounded wait."""
         for each in select.select(self._sockets, [], [], _READ_WALL_S)[0]:
             message = each.recv(_BYTES)
@@ -77,7 +77,7 @@ class NatNetClient:
         """Release the sockets."""
         self._stack.close()
 
-    def _connect(self) -> natnet.Server:
+    def _connect(self) -> natnet.NatNetInfo:
         self._commands.sendto(natnet.connect_request(), self._address)
         self._commands.settimeout(_RESPONSE_WALL_S)
         while True:
@@ -114,7 +114,7 @@ class QtmClient:
             self.close()
             raise
 
-    def read(self) -> Iterator[Frame]:
+    def read(self) -> Iterator[TrackedFrame]:
         """Yield the frames that arrive within a bounded wait."""
         if not self._pending and select.select([self._socket], [], [], _READ_WALL_S)[0]:
             self._receive()
@@ -156,7 +156,7 @@ class TextClient:
         self._decoder = frame_codec(config.frames).decoder(True, by_camera=False)
         self._port = DatagramPort(clock, *config.address, _READ_WALL_S)
 
-    def read(self) -> Iterator[Frame]:
+    def read(self) -> Iterator[TrackedFrame]:
         """Yield the frames that arrive within a bounded wait."""
         data = self._port.read()
         received_s = self._now_s()
@@ -165,7 +165,7 @@ class TextClient:
             if pose is not None:
                 q = None if decoded.status == POSITION_ONLY else quat.conjugate(pose.q_vt)
                 bodies[self._body] = BodyPose(pose.t_v, q, float(np.sqrt(pose.covariance[0, 0])))
-            yield Frame(decoded.t_s, received_s, bodies)
+            yield TrackedFrame(decoded.t_s, received_s, bodies)
 
     def close(self) -> None:
         """Release the port."""
@@ -176,9 +176,9 @@ class TrackerLink:
     """Frames of a client that a thread reads; a stream that is lost is opened again. Raises LinkLost if it cannot be
     opened at first."""
 
-    def __init__(self, open_client: Callable[[], Client], address: tuple[str, int], clock: BenchClock) -> None:
+    def __init__(self, open_client: Callable[[], TrackerClient], address: tuple[str, int], clock: BenchClock) -> None:
         self._open, self._shown, self._clock = open_client, "{}:{}".format(*address), clock
-        self._frames: deque[Frame] = deque(maxlen=_KEPT)
+        self._frames: deque[TrackedFrame] = deque(maxlen=_KEPT)
         self._ending = threading.Event()
         self.failure = ""
         """Why the stream is gone, "" while it is there."""
@@ -190,7 +190,7 @@ class TrackerLink:
             raise LinkLost(NAME, f"{self._shown}: {cause or 'no response'}: is it streaming?") from cause
         self._reader = clock.start_thread(lambda: self._run(client), f"{NAME}-reader")
 
-    def poll(self, now_s: float) -> list[Frame]:
+    def poll(self, now_s: float) -> list[TrackedFrame]:
         """Return the frames received since the last call; never waits."""
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
@@ -199,7 +199,7 @@ class TrackerLink:
         self._ending.set()
         self._clock.join(self._reader, _RESPONSE_WALL_S)
 
-    def _run(self, client: Client) -> None:
+    def _run(self, client: TrackerClient) -> None:
         while not self._ending.is_set():
             try:
                 self._frames.extend(client.read())
@@ -217,7 +217,7 @@ class TrackerLink:
 
 def open_link(config: Tracker, clock: BenchClock) -> TrackerLink:
     """Return the open link to the tracker of a rig file. clock: bench time of receipts. Raises LinkLost."""
-    clients: dict[str, Callable[[], Client]] = {
+    clients: dict[str, Callable[[], TrackerClient]] = {
         "natnet": lambda: NatNetClient(config.address, config.local, clock.now_s),
         "qtm": lambda: QtmClient(config, clock.now_s),
         "text": lambda: TextClient(config, clock),

@@ -8,7 +8,7 @@ from collections import deque
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.parts.tracker.encoder_poses import difference
-from hil.parts.tracker.frames import Frame
+from hil.parts.tracker.frames import TrackedFrame
 from hil.parts.tracker.measured import MeasuredBodies, TruePose
 from hil.parts.tracker.table import Tracker
 
@@ -25,9 +25,9 @@ class MockTracker:
         """Bench time of the run's time zero, by which faults act."""
         self._before: tuple[float, Array, Array] | None = None
         self._next = 0
-        self._in_transit: deque[Frame] = deque()
+        self._in_transit: deque[TrackedFrame] = deque()
 
-    def poll(self, now_s: float) -> list[Frame]:
+    def poll(self, now_s: float) -> list[TrackedFrame]:
         """Measure up to ``now_s``, and return the frames that have arrived by then."""
         before, now = self._before, (now_s, *self._true_pose(now_s))
         self._before = now
@@ -52,4 +52,4 @@ class MockTracker:
             q = quat.multiply(quat.from_rotation_vector(part * change[3:]), before[2])
             run_s = t_s - self.run_zero_s
             bodies, stamp_s = self._bodies.at(run_s, r, q), self._bodies.stamp_s(t_s, run_s)
-            self._in_transit.append(Frame(stamp_s, t_s + self._table.latency_s, bodies))
+            self._in_transit.append(TrackedFrame(stamp_s, t_s + self._table.latency_s, bodies))

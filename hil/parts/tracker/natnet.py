@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.parts.tracker.frames import BodyPose, Frame
+from hil.parts.tracker.frames import BodyPose, TrackedFrame
 
 CONNECT, SERVER_INFO, MODEL_REQUEST, MODEL, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
 ECHO_REQUEST, ECHO, UNRECOGNISED = 12, 13, 100
@@ -32,7 +32,7 @@ _TRACKED: Final = 1
 _END: Final = 30  # bytes from the times to the end of a frame; 8 more if the sections have sizes
 
 
-class Server(NamedTuple):
+class NatNetInfo(NamedTuple):
     """What a server states about its stream. group: of the multicast, "" for unicast."""
 
     version: tuple[int, int]
@@ -61,7 +61,7 @@ def is_server_info(message: bytes) -> bool:
     return message[:2] == SERVER_INFO.to_bytes(2, "little")
 
 
-def server_of(message: bytes) -> Server:
+def server_of(message: bytes) -> NatNetInfo:
     """Return what the response to a request to connect states. Raises ValueError."""
     if not is_server_info(message) or len(message) < _LEAST_INFO:
         raise ValueError("no response of a NatNet server of version 3.0 or later")
@@ -69,10 +69,10 @@ def server_of(message: bytes) -> Server:
     ticks_hz, port, is_multicast, *group = _STREAM.unpack_from(message, HEAD.size + _INFO.size)
     if major < 3 or not ticks_hz:
         raise ValueError(f"NatNet {major}.{minor}: allowed are 3.0 to 4.x")
-    return Server((major, minor), float(ticks_hz), port, socket.inet_ntoa(bytes(group)) if is_multicast else "")
+    return NatNetInfo((major, minor), float(ticks_hz), port, socket.inet_ntoa(bytes(group)) if is_multicast else "")
 
 
-def server_info(server: Server) -> bytes:
+def server_info(server: NatNetInfo) -> bytes:
     """Return the response of a server."""
     group = socket.inet_aton(server.group or "0.0.0.0")
     info = _INFO.pack(b"hil", *server.version, 0, 0, *server.version, 0, 0)
@@ -106,14 +106,14 @@ def bodies_of(message: bytes, version: tuple[int, int]) -> dict[int | str, BodyP
     return tracked
 
 
-def frame_of(message: bytes, server: Server, received_s: float) -> Frame:
+def frame_of(message: bytes, server: NatNetInfo, received_s: float) -> TrackedFrame:
     """Return a frame, received at bench time ``received_s``. Raises ValueError, struct.error."""
     bodies = bodies_of(message, server.version)
     exposed_s, age_s = times_of(message, server)
-    return Frame(exposed_s, received_s, bodies, age_s)
+    return TrackedFrame(exposed_s, received_s, bodies, age_s)
 
 
-def times_of(message: bytes, server: Server) -> tuple[float, float]:
+def times_of(message: bytes, server: NatNetInfo) -> tuple[float, float]:
     """Return the middle of the exposure by the server's clock, and how long it was ago when the frame was sent, s."""
     precise = 8 if server.version >= SIZED else 0  # seconds and their fraction, by another clock
     exposed, _, sent = TIMES.unpack_from(message, len(message) - _END - precise)
@@ -121,7 +121,7 @@ def times_of(message: bytes, server: Server) -> tuple[float, float]:
 
 
 def frame_message(
-    number: int, bodies: Mapping[int | str, BodyPose], server: Server, times_s: tuple[float, float]
+    number: int, bodies: Mapping[int | str, BodyPose], server: NatNetInfo, times_s: tuple[float, float]
 ) -> bytes:
     """Return the bytes of a frame. times_s: of exposure and sending, by the server's clock."""
     sized = server.version >= SIZED

@@ -15,7 +15,7 @@ from xml.etree import ElementTree  # of a server in the lab's network, and of a 
 import numpy as np
 
 from hil.maths import quat
-from hil.parts.tracker.frames import BodyPose, Frame
+from hil.parts.tracker.frames import BodyPose, TrackedFrame
 
 ERROR, COMMAND, XML, DATA, NO_MORE_DATA, EVENT = 0, 1, 2, 3, 4, 6
 PORT: Final = 22223
@@ -79,7 +79,7 @@ def parameters(names: Sequence[str]) -> bytes:
     return packet(XML, text.encode() + b"\0")
 
 
-def frame_of(content: bytes, names: Sequence[str], received_s: float) -> Frame:
+def frame_of(content: bytes, names: Sequence[str], received_s: float) -> TrackedFrame:
     """Return a data packet as a frame; bodies that are not tracked are left out. Raises ValueError, struct.error."""
     time_us, _, components = _FRAME.unpack_from(content)
     at, bodies = _FRAME.size, dict[int | str, BodyPose]()
@@ -90,7 +90,7 @@ def frame_of(content: bytes, names: Sequence[str], received_s: float) -> Frame:
         if size < _COMPONENT.size:
             raise ValueError(f"a component of {size} bytes")
         at += size
-    return Frame(1e-6 * time_us, received_s, bodies)
+    return TrackedFrame(1e-6 * time_us, received_s, bodies)
 
 
 def _bodies(content: bytes, at: int, body: struct.Struct, names: Sequence[str]) -> Iterator[tuple[int | str, BodyPose]]:

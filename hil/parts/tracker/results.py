@@ -10,7 +10,7 @@ import numpy as np
 from hil.bench.kinematics import show
 from hil.core.messages import Array
 from hil.maths import linear
-from hil.parts.tracker.comparison import Deviation, Sample
+from hil.parts.tracker.comparison import ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, PoseTrack, difference, pose_of
 from hil.report.section import Section
 
@@ -19,7 +19,7 @@ _EACH: Final = 5  # cycles
 _DEG: Final = math.degrees(1.0)
 
 
-class Spread:
+class DifferenceSpread:
     """Mean, root mean square and largest size of differences (6,), m and rad."""
 
     def __init__(self) -> None:
@@ -59,8 +59,8 @@ class TruthStatistics:
     def __init__(self, bench: np.record, step_s: float) -> None:
         self._bench = bench
         self._truth = PoseTrack(step_s)
-        self._lines = {name: Spread() for name in LINES}
-        self._off = Spread()
+        self._lines = {name: DifferenceSpread() for name in LINES}
+        self._off = DifferenceSpread()
         self._sigmas, self._worst = np.full(6, np.nan), np.zeros(2)
         self._bounds = np.full(2, np.nan)
         self._cycles = 0
@@ -84,7 +84,7 @@ class TruthStatistics:
         if bench is not None and shown is not None:
             self._lines["encoders"].add(difference(bench.r, bench.q, shown.r, shown.q))
 
-    def add(self, sample: Sample) -> None:
+    def add(self, sample: ComparedSample) -> None:
         """Take a compared sample."""
         if sample.pose is None:
             return

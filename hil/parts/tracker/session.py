@@ -23,9 +23,9 @@ from hil.loop.outcome import Outcome
 from hil.loop.runner import Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.params import bench as bench_params
-from hil.parts.tracker.comparison import BenchComparison, Deviation, Sample
+from hil.parts.tracker.comparison import BenchComparison, ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
-from hil.parts.tracker.frames import Frame, TrackerSource
+from hil.parts.tracker.frames import TrackedFrame, TrackerSource
 from hil.parts.tracker.mock import MockTracker
 from hil.parts.tracker.results import TruthStatistics
 from hil.parts.tracker.rows import SAMPLE
@@ -88,7 +88,7 @@ class TrackerWatch:
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
         self._zero_s = math.nan
-        self._waiting: deque[tuple[float, Frame]] = deque(maxlen=_WAITING)
+        self._waiting: deque[tuple[float, TrackedFrame]] = deque(maxlen=_WAITING)
         self._statistics = TruthStatistics(self._bench, scenario.step_s)
         self._source: TrackerSource | None = None
         self._alarm = ""
@@ -172,7 +172,7 @@ class TrackerWatch:
         self.comparison.encoders.add(self._zero_s + float(rails_s), np.concatenate([feedback["rail_m"], gimbals]))
         self._statistics.add_cycle(row, now_s, self.comparison.encoders)
 
-    def _record(self, sample: Sample) -> None:
+    def _record(self, sample: ComparedSample) -> None:
         """Send a row for each body of ``sample`` to the recording."""
         row, config = self._row[0], self._config
         for role, state in sample.states.items():

@@ -105,7 +105,7 @@ class Tracker(ConfigModel):
     chaser: TrackedBody
     target: TrackedBody | None = None
     reference: TrackedBody | None = None
-    """A body on the floor, which tells apart whether the bench or the tracker has moved."""
+    """A body on the floor, by which a moved bench is distinguished from a moved tracker."""
     frame: TrackerFrame | None = None
     sigma_m: Positive = 0.0002
     """Standard deviation of a position of the tracker, per axis."""

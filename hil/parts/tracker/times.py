@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.drivers.vmu.unit_clock import UnitClock
 from hil.maths import linear
-from hil.parts.tracker.frames import Frame
+from hil.parts.tracker.frames import TrackedFrame
 
 _SOLVED_EACH: Final = 50  # samples
 _UNKNOWN_S: Final = 0.01  # sigma of a latency before any motion
@@ -25,7 +25,7 @@ class TrackerClock:
     def __init__(self) -> None:
         self._clock = UnitClock(0.0)
 
-    def bench_s(self, frame: Frame) -> float:
+    def bench_s(self, frame: TrackedFrame) -> float:
         """Return the moment of ``frame`` in bench time, s, later than it was by the tracker's least latency."""
         self._clock.add(frame.received_s - frame.stamp_s - frame.age_s, frame.received_s)
         return frame.stamp_s - 1e-6 * self._clock.numbers()["clock_ahead_us"]
@@ -39,7 +39,7 @@ class LatencyEstimate:
     """Latency of a tracker behind the encoders, by least squares on the difference of their poses while axes move.
 
     A pose that is late by x is behind by x times the rate. Errors of geometry are not latency: a linear function of the
-    pose is estimated beside it. sigmas: of the six components, m and rad.
+    pose is estimated as well. sigmas: of the six components, m and rad.
     """
 
     def __init__(self, sigmas: Array) -> None:

@@ -116,11 +116,11 @@ def test_base_that_moves_by_three_millimetres_is_found_within_two_seconds(axis: 
     [
         ("tracker", True, "the tracker has moved"),
         ("bench", True, "the base of the bench has moved"),
-        ("tracker", False, "tracker.reference would tell"),
+        ("tracker", False, "(see tracker.reference)"),
         ("target", True, "the target has moved"),
     ],
 )
-def test_what_has_moved_is_told_apart(of: str, reference: bool, cause: str) -> None:
+def test_what_has_moved_is_distinguished(of: str, reference: bool, cause: str) -> None:
     keys = {} if reference else {"reference": None}
     flown = Flight(23.0, faults=[{"kind": "moved", "of": of, "at_s": 20.0, "value": [0.0, 0.002, 0.002]}], **keys)
     assert flown.first_beyond("chaser", "target") is not None

@@ -57,7 +57,7 @@ def test_pose_of_the_chaser_relative_to_the_target_and_its_age_are_read(
     poses = [(at, of_target), (at + of_target.apply(r_H), of_target * of_chaser)]
     rows = [(i + 1, list(where), list(turn.as_quat()), 1) for i, (where, turn) in enumerate(poses)]
     message = frame([(9, [0.0] * 3, [0.0, 0.0, 0.0, 1.0], 0), *rows], version)
-    read = natnet.frame_of(message, natnet.Server(version, TICKS_HZ, 1511, ""), 100.0)
+    read = natnet.frame_of(message, natnet.NatNetInfo(version, TICKS_HZ, 1511, ""), 100.0)
     assert sorted(map(str, read.bodies)) == ["1", "2"]  # body 9 is not tracked
     value = bridge.pose_of(read.bodies[2], read.bodies[1])
     assert value[:3] == pytest.approx(r_H, abs=1e-6)
@@ -81,7 +81,7 @@ def test_response_of_a_server_states_version_clock_and_where_frames_arrive() -> 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_own_server_sends_what_the_client_reads(version: tuple[int, int]) -> None:
-    server = natnet.Server(version, float(TICKS_HZ), 1511, "239.255.42.99")
+    server = natnet.NatNetInfo(version, float(TICKS_HZ), 1511, "239.255.42.99")
     assert natnet.server_of(natnet.server_info(server)) == server
     pose = BodyPose(np.array([1.0, -2.0, 0.5]), np.array([0.1, -0.2, 0.3, 0.9]), 2e-4)
     read = natnet.frame_of(natnet.frame_message(7, {4: pose}, server, (12.5, 12.504)), server, 1.0)
@@ -91,7 +91,7 @@ def test_own_server_sends_what_the_client_reads(version: tuple[int, int]) -> Non
 
 
 def test_cut_and_hostile_frames_are_errors_of_values() -> None:
-    server = natnet.Server((4, 1), float(TICKS_HZ), 1511, "")
+    server = natnet.NatNetInfo((4, 1), float(TICKS_HZ), 1511, "")
     whole = frame([(1, [0.0] * 3, [0.0, 0.0, 0.0, 1.0], 1)], (4, 1))
     hostile = struct.pack("<HHi", 7, 0, 1) + struct.pack("<i", 2**31 - 1) * 4
     for message in (*(whole[:n] for n in range(8, 100, 7)), hostile):

@@ -14,7 +14,7 @@ import pytest
 from hil.config.load import load_rig
 from hil.core.clock import WallClock
 from hil.errors import LinkLost
-from hil.parts.emulation.trackers import NatNetServer, QtmServer, Server, TextSender, TrackerEmulator
+from hil.parts.emulation.trackers import NatNetServer, QtmServer, TextSender, TrackerEmulator, TrackerServer
 from hil.parts.tracker import preflight
 from hil.parts.tracker.link import open_link
 from hil.parts.tracker.table import Tracker
@@ -42,7 +42,7 @@ def _table(driver: str, **keys: Any) -> Tracker:
 
 
 @contextmanager
-def _served(config: Tracker, server: Server, clock: WallClock) -> Iterator[Tracker]:
+def _served(config: Tracker, server: TrackerServer, clock: WallClock) -> Iterator[Tracker]:
     """Give the table with the address of ``server``, which runs meanwhile."""
     emulator, stop = TrackerEmulator(config, server, lambda _: (R, Q), clock, 0), threading.Event()
     thread = threading.Thread(target=emulator.run, args=(stop,))
@@ -55,7 +55,7 @@ def _served(config: Tracker, server: Server, clock: WallClock) -> Iterator[Track
         emulator.close()
 
 
-def _server(config: Tracker, clock: WallClock) -> Server:
+def _server(config: Tracker, clock: WallClock) -> TrackerServer:
     if config.driver == "natnet":
         return NatNetServer((4, 1), config.latency_s)
     return QtmServer(["chaser", "target"]) if config.driver == "qtm" else TextSender(config, clock)
