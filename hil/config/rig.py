@@ -25,6 +25,7 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
+from hil.config.tables.imu_wire import ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
@@ -846,6 +847,7 @@ class Rig(FileTable):
     telemetry: TelemetryTable = TelemetryTable()
     gnc_link: GncLink = GncLink()
     flight_computer: FlightComputer = FlightComputer()
+    imu: ImuWire | None = None
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
     arm: Arm | None = None
@@ -1125,9 +1127,11 @@ class Rig(FileTable):
         """Return the wires that the drivers open, also those without an address in the file."""
         wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
         lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
-        return wires + lines + self.flight_computer.wires()
+        gyros = [self.imu.wire()] if self.imu is not None and self.kind != "mock" else []
+        return wires + lines + gyros + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""
         wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        wires += [self.imu.wire()] if self.imu is not None else []
         return [wire.required_key for wire in wires if wire.address is None]
