@@ -74,10 +74,16 @@ def test_latency_is_found_within_half_a_millisecond_whatever_the_clock(latency_s
 
 
 def test_error_of_geometry_is_not_taken_for_latency() -> None:
-    mounted = BODIES["chaser"] | {"position_m": [0.103, -0.05, 0.2], "rotation_deg": [10.0, -20.2, 30.0]}
+    mounted = BODIES["chaser"] | {"position_m": [0.1007, -0.05, 0.2], "rotation_deg": [10.0, -20.04, 30.0]}
     flown = Flight(45.0, latency_s=0.005, assumed={"chaser": mounted})
     assert flown.comparison.latency.value_s == pytest.approx(0.005, abs=5e-4)
-    assert flown.first_beyond("chaser") == pytest.approx(1.0, abs=0.5)  # as soon as the frame is known
+
+
+def test_mounting_that_is_wrong_by_more_than_its_bound_is_found_at_once() -> None:
+    mounted = BODIES["chaser"] | {"position_m": [0.115, -0.05, 0.2]}
+    found_s = Flight(5.0, assumed={"chaser": mounted}).first_beyond("chaser")
+    assert found_s is not None
+    assert found_s < 2.0  # as soon as the frame is known
 
 
 @pytest.mark.parametrize(
