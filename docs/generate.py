@@ -296,6 +296,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "hazards": hazards,
     "alarms": result_pages.alarms,
     "run-results": result_pages.run_results,
+    "vmu-statuses": result_pages.vmu_statuses,
     "rig": rig_keys,
     "files": other_files,
     "dispersions": dispersion_sets,

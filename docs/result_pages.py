@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from hil.core.alarm_table import ALARMS
 from hil.core.alarms import AlarmKind
 from hil.report.results import Results, RunResults
+from hil.vmu.statuses import STATUSES
 
 
 def alarms_of(hazard: str) -> list[str]:
@@ -34,6 +35,13 @@ that varies. [Limits, and how alarms behave](../modes-and-alarms.md#alarms).
         for kind in ALARMS.values()
     ]
     return f"{intro}\n{head}\n|{'---|' * 6}\n" + "\n".join(rows) + "\n"
+
+
+def vmu_statuses() -> str:
+    """Return the page of the statuses of a frame of the vision unit."""
+    intro = "# Statuses of the vision unit\n\nColumn `status` of `hil vmu --out`.\n"
+    rows = [f"| `{name}` | {each.meaning} | {'yes' if each.has_pose else 'no'} |" for name, each in STATUSES.items()]
+    return f"{intro}\n| status | meaning | pose |\n|---|---|---|\n" + "\n".join(rows) + "\n"
 
 
 def run_results() -> str:

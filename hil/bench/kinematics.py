@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from hil.bench.geometry import GEOMETRY, compensate, machine_pose, to_rails
 from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
@@ -38,6 +39,7 @@ BENCH_PARAMS = np.dtype(
         ("reduced", "i8"),  # 1: axes are fixed, or L is not parallel to H
         ("fixed", "i8", 6),  # 1: the axis is fixed at ``low``
         ("q_HL", "f8", 4),  # L to H
+        ("geometry", GEOMETRY),  # errors of the machine, whose lever arm is that above
     ],
     align=True,
 )
@@ -148,6 +150,10 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
     q, angles, rates, w = stack.vector(4), stack.vector(3), stack.vector(3), stack.vector(3)
     a, jacobian, arm, arm_rate = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(3), stack.vector(3)
     quat.multiply_into(q_CH, params.q_HL, q)
+    quat.transform_back_into(params.q_HL, r, r)
+    quat.transform_back_into(params.q_HL, v, v)
+    if params.geometry.enabled != 0:
+        to_rails(params.geometry, r, v, q)
     quat.to_matrix_into(q, a)
     euler.from_matrix_into(a, params.order, angles)
     euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
@@ -161,12 +167,27 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
     quat.transform_back_into(q, params.lever_arm, arm)
     cross_into(w, params.lever_arm, arm_rate)
     quat.transform_back_into(q, arm_rate, arm_rate)
-    quat.transform_back_into(params.q_HL, r, r)
-    quat.transform_back_into(params.q_HL, v, v)
     for i in range(3):
         axes.rail_m[i] = params.low[i] if params.fixed[i] != 0 else r[i] - arm[i]
         axes.rail_mps[i] = 0.0 if params.fixed[i] != 0 else v[i] - arm_rate[i]
         axes.gimbal_rad[i], axes.gimbal_radps[i] = angles[i], rates[i]
+    if params.geometry.enabled != 0:
+        _compensate_driven(params, r, q, axes)
+
+
+@kernel
+def _compensate_driven(params, r, q, axes):
+    """Correct the positions of the driven axes for errors of the machine; rails also for what fixed gimbals leave."""
+    shown, rest, attitude = stack.vector(3), stack.vector(3), stack.vector(4)
+    compensate(params.geometry, params.order, r, q, axes)
+    for i in range(3):
+        if params.fixed[3 + i] != 0:
+            axes.gimbal_rad[i] = params.low[3 + i]
+    machine_pose(params.geometry, params.order, axes.rail_m, axes.gimbal_rad, shown, attitude)
+    fill(rest, 0.0)
+    to_rails(params.geometry, shown, rest, attitude)
+    for i in range(3):
+        axes.rail_m[i] = params.low[i] if params.fixed[i] != 0 else axes.rail_m[i] - (shown[i] - r[i])
 
 
 @kernel
@@ -182,13 +203,16 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
         _driven_axes(params, r, v, q_CH, w_CH_C, axes)
         return
     arm, turning, arm_rate, angles = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
-    a, jacobian = stack.matrix(3, 3), stack.matrix(3, 3)
-    quat.transform_back_into(q_CH, params.lever_arm, arm)
+    a, jacobian, q = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(4)
+    copy_into(q, q_CH)
+    if params.geometry.enabled != 0:
+        to_rails(params.geometry, r, v, q)
+    quat.transform_back_into(q, params.lever_arm, arm)
     turning[0] = w_CH_C[1] * params.lever_arm[2] - w_CH_C[2] * params.lever_arm[1]
     turning[1] = w_CH_C[2] * params.lever_arm[0] - w_CH_C[0] * params.lever_arm[2]
     turning[2] = w_CH_C[0] * params.lever_arm[1] - w_CH_C[1] * params.lever_arm[0]
-    quat.transform_back_into(q_CH, turning, arm_rate)
-    quat.to_matrix_into(q_CH, a)
+    quat.transform_back_into(q, turning, arm_rate)
+    quat.to_matrix_into(q, a)
     euler.from_matrix_into(a, params.order, angles)
     euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
     for i in range(3):
@@ -198,6 +222,8 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
         axes.gimbal_radps[i] = 0.0
         for j in range(3):
             axes.gimbal_radps[i] += jacobian[i, j] * w_CH_C[j]
+    if params.geometry.enabled != 0:
+        compensate(params.geometry, params.order, r, q, axes)
 
 
 @kernel
@@ -206,10 +232,13 @@ def pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH):
 
     It is what cameras on the bench see.
     """
-    euler.to_quaternion_into(gimbal_rad, params.order, q_CH)
-    quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
-    for i in range(3):
-        r_CT_H[i] += rail_m[i]
+    if params.geometry.enabled != 0:
+        machine_pose(params.geometry, params.order, rail_m, gimbal_rad, r_CT_H, q_CH)
+    else:
+        euler.to_quaternion_into(gimbal_rad, params.order, q_CH)
+        quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
+        for i in range(3):
+            r_CT_H[i] += rail_m[i]
     if params.reduced != 0:
         q_LH, q_CL = stack.vector(4), stack.vector(4)
         copy_into(q_CL, q_CH)

@@ -55,7 +55,7 @@ _GROUPS: Final = {
     "Look at a run": ("report", "explain", "replay", "export", "recordings", "recover"),
     "Many runs": ("campaign", "margins", "benchmark", "fusion", "ci"),
     "Vehicle, sensors and GNC of your own": ("vehicle", "sensors", "gnc", "dss", "fmu-export"),
-    "Work at the bench": ("console", "operators", "emulate", "identify", "commission"),
+    "Work at the bench": ("console", "operators", "emulate", "identify", "commission", "geometry"),
     "Images": ("vmu", "monitor", "cameras", "calibrate", "targets"),
 }
 """Title -> commands, in the order of a user's day; others are of parts of other packages."""

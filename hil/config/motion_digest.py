@@ -17,17 +17,22 @@ _NOT_COUNTED: Final = {"name", "sign_off", "recording", "telemetry"}
 def motion_digest(rig: Rig) -> str:
     """Return "sha256:..." over all tables that decide or protect the motion, and over the files that they name.
 
-    Excluded are what is recorded, what only emulators have, the leads, which ``hil identify`` measures on a signed-off
-    rig (setpoints are limited after their lead), the reference of the drift check, and the CPU of the loop. Raises
-    BadInput if a protocol file cannot be read.
+    Excluded are what is recorded, what only emulators have, the bench's error budget, the leads, which ``hil identify``
+    measures on a signed-off rig (setpoints are limited after their lead), the reference of the drift check, and the CPU
+    of the loop. Raises BadInput if a protocol file cannot be read.
     """
     table = rig.model_dump(mode="json", exclude=_NOT_COUNTED)
     for key in ("linear_axes", "rotary_axes"):
         if not table[key]:  # as before there were any
             del table[key]
     del table["vmu"]["drift_check"], table["host"]["cpu"]
-    if rig.bench.lab_axes == UNIT_AXES:
-        del table["bench"]["lab_axes"]
+    if rig.floating is None:
+        del table["floating"]
+    for key, default in (("lab_axes", UNIT_AXES), ("rails_order", "xyz"), ("geometry_file", None)):
+        if getattr(rig.bench, key) == default:  # as before there were any
+            del table["bench"][key]
+    for key in ("errors", "tolerance_m", "tolerance_deg", "thermal_sigma_m", "thermal_sigma_deg"):
+        del table["bench"][key]
     if rig.console.on_loss != "continue":
         del table["console"]["on_loss"]  # the operator's choice of two safe reactions
     for device, names in (

@@ -9,10 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from hil.config.tables.arm import Arm
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
+from hil.config.tables.floating import Floating
 from hil.config.tables.guard import BenchBody, GuardConfig, check_kinds
 from hil.config.tables.host import (
     ClockConfig,
@@ -24,6 +26,7 @@ from hil.config.tables.host import (
     TelemetryTable,
 )
 from hil.config.tables.io import Io
+from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.tables.open_table import FileTable
@@ -47,7 +50,7 @@ AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
 MIDDLE_AXIS_MAX_DEG = 85.0  # largest angle of the middle axis of a rotary manipulator
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
-GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
+GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]  # of three different axes
 UNIT_AXES: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _FIXED_LIMIT = 1.0  # m/s, m/s^2, deg/s, deg/s^2 of an axis without a drive, which never moves
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
@@ -60,6 +63,20 @@ class BenchGeometry(ConfigModel):
     """In c: turntable's centre of rotation to the point that represents the chaser's reference point."""
     gimbal_order: GimbalOrder = "zyx"
     """Gimbals from outer to inner; "zyx" is yaw, pitch, roll."""
+    rails_order: GimbalOrder = "xyz"
+    """Rails from the floor up: the first carries the others."""
+    geometry_file: str | None = None
+    """Measured geometry, of `hil geometry fit`: compensated in all motion; unless set, the bench counts as ideal."""
+    errors: MachineErrors = MachineErrors()
+    """How mock and emulated rigs are built wrong."""
+    tolerance_m: NotNegative = 1e-3
+    """Standard deviation of each parameter of the geometry that was not measured."""
+    tolerance_deg: NotNegative = 0.05
+    """The same for rotations."""
+    thermal_sigma_m: NotNegative = 0.0
+    """Drift of the bench since its geometry was measured, 1 sigma per axis."""
+    thermal_sigma_deg: NotNegative = 0.0
+    """The same for rotations."""
     camera_position_m: Triple = (0.6, 0.0, 0.0)
     """In c: chaser's reference point to the left camera."""
     camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
@@ -831,6 +848,9 @@ class Rig(FileTable):
     flight_computer: FlightComputer = FlightComputer()
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
+    arm: Arm | None = None
+    """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""
+    floating: Floating | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
     linear_axes: dict[Name, HeldLinearAxes] = Field(default_factory=dict)
@@ -860,9 +880,14 @@ class Rig(FileTable):
         return [name for name in BENCH_AXES if name.partition(".")[2] not in groups[name.partition(".")[0]].driven]
 
     @property
+    def hidden(self) -> list[str]:
+        """Those of ``undriven`` along which the bench does not show the truth; a floating vehicle shows it itself."""
+        return self.undriven if self.floating is None else []
+
+    @property
     def is_reduced(self) -> bool:
         """Whether the bench cannot show every pose, or has L not parallel to H."""
-        return bool(self.undriven) or self.bench.lab_axes != UNIT_AXES
+        return bool(self.hidden) or self.bench.lab_axes != UNIT_AXES
 
     @property
     def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
@@ -933,9 +958,50 @@ class Rig(FileTable):
         return self
 
     @model_validator(mode="after")
+    def _nothing_drives_what_floats(self) -> Self:
+        if self.floating is None:
+            return self
+        driven = [f"{key}.{name}" for key, table in self.axis_groups.items() for name in table.driven]
+        wrong = {
+            f"{', '.join(driven)} driven, allowed no axis": driven,
+            "bench.axes_rate_hz, allowed none": self.bench.axes_rate_hz is not None,
+            "bench.lab_axes, allowed those of H": self.bench.lab_axes != UNIT_AXES,
+            f'bench.gimbal_order "{self.bench.gimbal_order}", allowed "yxz", "yzx": y outside': (
+                self.bench.gimbal_order[0] != "y"
+            ),
+            f'vmu.driver "{self.vmu.driver}", allowed one that measures the pose': not self.has_vmu,
+            "no thruster lines, allowed io.thruster_lines of an io.driver": (
+                self.io is None or not self.has_io or not self.io.thruster_lines
+            ),
+        }
+        for text, is_wrong in wrong.items():
+            if is_wrong:
+                raise ValueError(f"floating: does not go with {text}")
+        return self
+
+    @model_validator(mode="after")
     def _one_thing_moves_the_target(self) -> Self:
         if self.moved_target is not None and self.rotated_target is not None:
             raise ValueError('rotary_manipulator.driver: does not go with target_manipulator, allowed "none"')
+        return self
+
+    @property
+    def moved_by_arm(self) -> bool:
+        """Whether a robot on wires stands for rails and turntable."""
+        return self.rails.driver == "arm"
+
+    @model_validator(mode="after")
+    def _an_arm_stands_for_both(self) -> Self:
+        drivers = {"rails": self.rails.driver, "turntable": self.turntable.driver}
+        expected = "mock" if self.kind == "mock" else "arm"
+        if self.arm is not None:
+            for key, driver in drivers.items():
+                if driver != expected:
+                    raise ValueError(f'{key}.driver = "{driver}": does not go with [arm], allowed "{expected}"')
+            if self.undriven or self.rails.controllers or self.turntable.controllers:
+                raise ValueError("arm: stands for six axes, allowed: none of them fixed or on a controller of its own")
+        elif "arm" in drivers.values():
+            raise ValueError('driver = "arm": needs the table [arm] of the robot')
         return self
 
     @model_validator(mode="after")
@@ -1049,6 +1115,8 @@ class Rig(FileTable):
         for key, group in groups.items():
             keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
             tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
+        if self.arm is not None and self.moved_by_arm:
+            tables["arm"] = self.arm
         if self.io is not None and self.has_io:
             tables["io"] = self.io
         return tables | ({"vmu": self.vmu} if self.has_vmu else {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import termios
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,14 +19,17 @@ _HANDLERS: Final = "hil.parts.emulation.serial_urls"
 def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> serial.Serial:
     """Return the serial port ``path``, open, at low latency, without the bytes that were received before.
 
-    settings: further arguments of pyserial; its time-outs are wall time, bench time in lock-step. Raises OSError,
-    ValueError or termios.error.
+    settings: further arguments of pyserial; its time-outs are wall time, bench time in lock-step. Raises OSError or
+    ValueError.
     """
     if is_counted(clock):
         return provided("rig.host.time=lock_step: serial")(clock, path, baud, **settings)
-    port = serial.Serial(path, baud, **settings)
-    set_low_latency(port)
-    port.reset_input_buffer()
+    try:
+        port = serial.Serial(path, baud, **settings)
+        set_low_latency(port)
+        port.reset_input_buffer()
+    except termios.error as error:  # no OSError; of settings that the line refuses, and of a line that has gone
+        raise OSError(*error.args) from error
     return port
 
 

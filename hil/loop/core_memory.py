@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from hil.config.bench_geometry import errors_as_built
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
@@ -15,6 +16,7 @@ from hil.loop.core import LOOP_PARAMS, LOOP_STATE
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params.faults import fault_rows
+from hil.params.geometry import set_geometry
 from hil.params.sensors import sensor_sources
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.transit import SPARE_FRAMES
@@ -97,12 +99,17 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     return params
 
 
-def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> None:
-    """Write vehicle, sensors, transport of frames and faults of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS.
+def set_truth(params: np.record, truth: Scenario, rig: Rig, seed: int, dss: np.record) -> None:
+    """Write vehicle, sensors, transport of frames, faults and the machine of ``truth`` and ``rig`` to ``params``.
+
+    params: LOOP_PARAMS, with those of the rig. dss: DSS_PARAMS.
 
     seed: of the run.
     """
     vmu = truth.vmu
+    params.mock.bench = params.bench
+    set_geometry(params.mock.bench, rig, errors_as_built(rig, truth.bench.errors))
+    params.mock.mounting = vmu_params.mounting_as_built(rig, truth)
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
     params.mock.vision = vmu_params.model(truth, seed)
     params.mock.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)

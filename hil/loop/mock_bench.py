@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.bench import kinematics
+from hil.bench.kinematics import BENCH_PARAMS
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics.truth import rate_against_hill
@@ -17,6 +18,7 @@ from hil.models.camera_timing import TRAVEL, delays, exposure_time
 from hil.models.faults import FAULTS
 from hil.models.servo import SERVO, move_servo, send_to_servo, servo_step_of_two
 from hil.sensors.measurement import deliver, is_any_due, measure
+from hil.sensors.mounting import MOUNTING
 from hil.sensors.vision_unit.camera import CAMERA
 from hil.sensors.vision_unit.errors import VISION_MEMORY
 from hil.sensors.vision_unit.model import VISION_PARAMS, measure_frame
@@ -33,6 +35,8 @@ MOCK_PARAMS = np.dtype(
         ("camera", CAMERA),
         ("axis_faults", FAULTS),
         ("nominal_axes", NOMINAL_AXES),
+        ("bench", BENCH_PARAMS),  # as the machine is built
+        ("mounting", MOUNTING),
     ],
     align=True,
 )
@@ -90,9 +94,9 @@ def expose(params, state, until_s, first, vision_noise, travel_draws, leds, fram
             return
         row = mock.transit.next_exposure - first
         _move_axes(mock, t_s)
-        kinematics.pose_on_bench(params.bench, mock.rails.position, mock.turntable.position, r, q)
+        kinematics.pose_on_bench(params.mock.bench, mock.rails.position, mock.turntable.position, r, q)
         measure_frame(
-            params.mock.vision, params.mock.camera, leds, params.mounting, r, q, vision_noise[row], t_s,
+            params.mock.vision, params.mock.camera, leds, params.mock.mounting, r, q, vision_noise[row], t_s,
             mock.vision_memory, frames[mock.transit.in_transit],
         )  # fmt: skip
         if params.counts != 0:
@@ -118,7 +122,7 @@ def measure_sensors(params, state, t_s):
     """Let the modelled sensors measure that are due, and pass what has arrived on to the navigation."""
     if is_any_due(params.sensors, state.sensors, t_s):
         r, q, rate = stack.vector(3), stack.vector(4), stack.vector(3)
-        kinematics.pose_of_axes(params.bench, state.mock.rails.position, state.mock.turntable.position, r, q)
+        kinematics.pose_of_axes(params.mock.bench, state.mock.rails.position, state.mock.turntable.position, r, q)
         rate_against_hill(state.now.truth, rate)
         measure(params.sensors, state.sensors, t_s, state.now.truth, rate, r, q)
     deliver(state.sensors, t_s, state.gnc.navigation.fusion.sensors)

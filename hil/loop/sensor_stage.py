@@ -84,7 +84,7 @@ class SensorStage:
     ) -> None:
         self._memory, self._kinds, self._axes, self.sources = memory, dict(kinds), axes, list(sources)
         self._params, self._state = kernel_record(memory.params.sensors), memory.view("sensors")
-        self._bench = kernel_record(memory.params.bench)
+        self._bench = kernel_record(memory.params.mock.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
         """SENSOR_FUSION_STATE: samples of the present cycle, and what became of them."""
         self._alarms, self.sink = alarms, sink

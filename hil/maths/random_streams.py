@@ -26,6 +26,7 @@ _STREAMS = {
     "monitor": 7,
     "pictures": 8,
     "dispersions": 9,
+    "geometry": 10,
 }
 _NO_MEANS = np.zeros(0)
 

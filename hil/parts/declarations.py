@@ -169,6 +169,7 @@ WIRES: Final = Part(
     check_rig="hil.parts.wires.clock:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
+        "hil.drivers.arm.device", "hil.drivers.arm.entry",
         "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.datagrams", "hil.drivers.io.codec",
         "hil.drivers.io.coupler",
         "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",
@@ -313,6 +314,18 @@ COMMISSIONING: Final = Part(
     },
 )
 
+GEOMETRY: Final = Part(
+    name="geometry",
+    summary="Geometry of the bench: plan of poses, measurement, bundle fit, drift check.",
+    commands={
+        "geometry": PartCommand(
+            "hil.parts.geometry.cli:app",
+            "Geometry of the bench: plan poses, measure them, fit the parameters, check for drift.",
+            "hil geometry plan lab.toml -o plan.csv",
+        ),
+    },
+)
+
 EXPORT: Final = Part(
     name="export",
     summary="Recordings for other programs: Parquet, CSV, images, bags of ROS 2.",
@@ -339,5 +352,6 @@ TRACKER: Final = Part(
 )
 
 PARTS: Final = (
-    CORE, VISION, CAMPAIGNS, WIRES, MONITOR, CONSOLE, EMULATION, CAMERAS, LINKS, FMI, COMMISSIONING, EXPORT, TRACKER,
+    CORE, VISION, CAMPAIGNS, WIRES, MONITOR, CONSOLE, EMULATION, CAMERAS, LINKS, FMI, COMMISSIONING, GEOMETRY, EXPORT,
+    TRACKER,
 )  # fmt: skip

@@ -35,8 +35,8 @@ class PoseModel:
     """
 
     def __init__(self, scenario: Scenario, rig: Rig, seed: int, memory: np.record | None = None) -> None:
-        self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-        self._mounting = vmu_params.mounting(rig)
+        self._bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
+        self._mounting = vmu_params.mounting_as_built(rig, scenario)
         self._vision = vmu_params.model(scenario, seed)
         self._camera, self.leds = vmu_params.camera(rig)
         self.noise = NormalRows(noise_source(seed, "vision"), VISION_NOISE)

@@ -47,7 +47,7 @@ RESIDUALS: Final = "residuals"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
 BACKGROUND: Final = "rejected_background"
-BUDGET: Final = "rejected_budget"
+BUDGET: Final = "rejected_time"
 BRIGHT: Final = "rejected_bright"
 CROWDED: Final = "rejected_crowded"
 

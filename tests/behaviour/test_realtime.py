@@ -178,4 +178,4 @@ def test_hardware_runs_without_real_time_on_request(hardware: str) -> None:
 
 def test_cpu_that_is_not_there_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["run", "scheme-1", "--set", "rig.host.cpu=4711"]) == 2
-    assert re.search(r"^--set: rig\.host\.cpu: 4711: this computer has 0", capsys.readouterr().err)
+    assert re.search(r"^--set: rig\.host\.cpu: 4711: this computer has \d", capsys.readouterr().err)

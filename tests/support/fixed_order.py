@@ -24,6 +24,7 @@ EXEMPT: Final = {
     "preflight": "measurements of the host",
     "parts/campaigns/pytest_plugin": "display",
     "gnc/estimation/shadow_filter.py": "the independent filter of filterpy",
+    "parts/geometry": "fits with stated uncertainties",
     "parts/fmi/units.py": "powers of units, which are whole",
     "maths/order_statistics.py": "statistics of the rows of a campaign",
     "parts/campaigns/drivers.py": "regressions on the rows of a campaign",

@@ -68,10 +68,12 @@ def eventually(clock, condition):
 
 def error_of(device, clock):
     """Send and read like the loop until the device fails; return its error."""
-    position = device.read(clock.now_s()).position
+    position: np.ndarray | None = None
     end_s = clock.now_s() + PATIENCE_S
     while clock.now_s() < end_s:
         try:
+            if position is None:
+                position = device.read(clock.now_s()).position
             device.send(position, np.zeros(3), clock.now_s())
             device.read(clock.now_s())
         except DeviceError as error:

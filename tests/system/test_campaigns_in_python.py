@@ -11,6 +11,8 @@ import pytest
 
 import hil
 from hil.errors import BadInput
+from hil.parts.campaigns.batch import Case, Spec
+from tests.support.backends import kernel_file
 
 pytestmark = pytest.mark.xdist_group("campaign")
 SHORT: dict[str, Any] = {"duration_s": 2.0, "workers": 1}
@@ -39,6 +41,25 @@ def test_sweep_has_a_campaign_for_each_value(tmp_path: Path) -> None:
     assert "Sweep of gnc.control.deadband_m" in (tmp_path / "s" / "report.html").read_text()
     same = hil.campaign("scheme-1", 3, sweep="gnc.control.deadband_m=0.004:0.008:2", **SHORT)
     assert same.summary == found.summary
+
+
+def test_law_that_is_edited_flies_in_the_next_campaign_of_the_same_process(tmp_path: Path) -> None:
+    def firings(force: str) -> float:
+        law = kernel_file(tmp_path, f"out.force[0] = {force}")
+        overrides = {"gnc.control.backend": law}
+        return float(hil.campaign("scheme-1", 2, overrides=overrides, **SHORT).column("firings").sum())
+
+    assert firings("0.0") == 0.0
+    assert firings("1.0") > 0.0
+
+
+def test_worker_with_other_files_flies_no_case(tmp_path: Path) -> None:
+    law = kernel_file(tmp_path, "out.force[0] = 0.0")
+    scenario = hil.load_scenario("scheme-1", {"gnc.control.backend": law})
+    spec = Spec.of(scenario, hil.load_rig("mock"), 0, 1.0)
+    kernel_file(tmp_path, "out.force[0] = 1.0")
+    with pytest.raises(BadInput, match="files of GNC or sensors have changed since the campaign was begun"):
+        Case(spec)
 
 
 def test_case_of_a_campaign_is_flown_again_and_explained(tmp_path: Path) -> None:

@@ -142,6 +142,8 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[imu]`."""
     vmu: Table = Field(default_factory=dict)
     """Distributions of keys in `[vmu]`."""
+    bench: Table = Field(default_factory=dict)
+    """Distributions of keys in `[bench.errors]`: how the bench is built wrong."""
     sensors: Table = Field(default_factory=dict)
     """Distributions of keys of `[[sensors]]`, by their names: the filters keep the nominal ones."""
     faults: FaultDispersion = FaultDispersion()
@@ -149,4 +151,4 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 
 
-TABLES = ("orbit", "target", "truth", "initial", "chaser", "imu", "vmu", "sensors", "gnc")
+TABLES = ("orbit", "target", "truth", "initial", "chaser", "imu", "vmu", "bench", "sensors", "gnc")

@@ -343,9 +343,17 @@ def euler_angles(rotation: Array, sequence: str) -> Array:
     return angles
 
 
-@cache
 def frame_codec(name: str = "hil") -> FrameCodec:
-    """Return the codec of the frames ``name``, as in ``VmuLine``. Raises BadInput."""
+    """Return the codec of the frames ``name``, as in ``VmuLine``; files are read again. Raises BadInput."""
+    return _own_codec() if name == "hil" else _codec_of(name)
+
+
+@cache
+def _own_codec() -> FrameCodec:
+    return _codec_of("hil")
+
+
+def _codec_of(name: str) -> FrameCodec:
     from hil.drivers.vmu.text_codec import TextFrameCodec
 
     frame = load_frame(name).value

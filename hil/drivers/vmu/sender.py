@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import termios
 from dataclasses import replace
 from typing import Final
 
@@ -27,7 +29,7 @@ class FrameSender:
         self._counter = 0
         try:
             self._line = serial.Serial(port, baud, write_timeout=1.0)
-        except (OSError, ValueError, serial.SerialException) as error:
+        except Exception as error:  # pyserial: OSError, ValueError (baud), termios.error
             raise LinkLost(_NAME, f"cannot open {port} at {baud} baud: {error}") from error
         self._port = port
 
@@ -43,11 +45,12 @@ class FrameSender:
             data += self._codec.encode(replace(pose, counter=counter, t_s=t_s))
         try:
             self._line.write(data)
-        except (OSError, serial.SerialException) as error:
+        except OSError as error:
             raise LinkLost(_NAME, f"{self._port}: {error}") from error
 
     def close(self) -> None:
         """Close the port after all data has been sent. Idempotent."""
         if self._line.is_open:
-            self._line.flush()
+            with contextlib.suppress(OSError, termios.error):  # the line may be gone, with what was not sent
+                self._line.flush()
             self._line.close()

@@ -20,7 +20,8 @@ def rendered_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSi
 
     shown: receives the images.
     """
-    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vmu_params.mounting(rig)
+    bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
+    mounting = vmu_params.mounting_as_built(rig, scenario)
     rng, estimator = stream(seed, "pictures"), estimator_of_unit(rig.vmu)
     images = scenario.vmu.images
     cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), images, rng, board_of(estimator))

@@ -19,11 +19,13 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
+from hil.gnc_backends.library import binary_digest
+from hil.gnc_backends.shared_library import digest_of
 from hil.maths.random_streams import MixedSeed
-from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.importance_density import LOG_WEIGHT, ImportanceDensity, block_normals
 from hil.parts.campaigns.outcome import failed_row, row_of
+from hil.parts.campaigns.python_cases import case_runner
 from hil.parts.campaigns.sobol_indices import sobol_point
 
 Batch = tuple[int, int]
@@ -40,7 +42,8 @@ class Spec:
 
     mixed: seeds of the cases of a rare-event campaign, by the case's number; others have the seed of their number.
     sobol: the cases belong to a campaign of Sobol' indices. density: text of the importance density of their noise.
-    own: backends of navigation and control that the caller gives, pickled.
+    own: backends of navigation and control that the caller gives, pickled. code: digest of the files of GNC and
+    sensors, which a worker reads by their paths.
     """
 
     scenario: str
@@ -51,6 +54,7 @@ class Spec:
     sobol: bool = False
     density: str = ""
     own: bytes = b""
+    code: str = ""
 
     @property
     def scenario_digest(self) -> str:
@@ -61,7 +65,14 @@ class Spec:
     def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float, own: OwnBackends = NO_BACKENDS) -> Spec:
         """Return the campaign of ``scenario`` on ``rig``. Raises BadInput if ``own`` cannot be sent to workers."""
         sent = pickled(own) if own != NO_BACKENDS else b""
-        return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s, own=sent)
+        code = code_digest(scenario)
+        return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s, own=sent, code=code)
+
+
+def code_digest(scenario: Scenario) -> str:
+    """Return the digest of the files of GNC and sensors that ``scenario`` names."""
+    sensors = [file for config in scenario.sensors.values() if (file := config.kind.rpartition(":")[0]).endswith(".py")]
+    return " ".join(filter(None, [binary_digest(scenario.gnc), *map(digest_of, sensors)]))
 
 
 def pickled(own: OwnBackends) -> bytes:
@@ -81,7 +92,10 @@ def pickled(own: OwnBackends) -> bytes:
 
 
 class Case:
-    """Runs the cases of one ``Spec``; created once per worker, or thread of it."""
+    """Runs the cases of one ``Spec``; created once per worker, or thread of it.
+
+    Raises BadInput if the files of GNC and sensors are not those that the campaign was begun with.
+    """
 
     def __init__(self, spec: Spec) -> None:
         scenario: Loaded[Scenario] = check_table(json.loads(spec.scenario), Scenario, "campaign")
@@ -89,9 +103,12 @@ class Case:
         self._spec = spec
         self.mixed: Mapping[int, MixedSeed] = spec.mixed
         own = pickle.loads(spec.own) if spec.own else NO_BACKENDS
+        if code_digest(scenario.value) != spec.code:
+            text = "files of GNC or sensors have changed since the campaign was begun, or are others on this computer"
+            raise BadInput.single("campaign", "", text)
         scenario = named(scenario, own)
         self._design = Design(scenario, spec.seed)
-        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s, own)
+        self.runner = case_runner(scenario.value, self._rig, spec.duration_s, own)
         self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:

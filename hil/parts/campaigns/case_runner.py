@@ -182,7 +182,7 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, truth, seed, dynamics_params.dss_as_built(truth, seed))
+        set_truth(params, truth, self.rig, seed, dynamics_params.dss_as_built(truth, seed))
         integrity_params.set_faults(params.stats.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)

@@ -31,6 +31,7 @@ TICK_S: Final = 0.05
 _REQUEST_PERIOD_S: Final = 0.01  # of one client; a page sends a few per second
 _HELLO_TIMEOUT_WALL_S: Final = 5.0
 _REFUSED: Final = 4401
+_TOO_LATE: Final = 4408  # the page connects again
 _LONGEST_TEXT: Final = 4096
 _LONGEST_NAME: Final = 24
 _LONGEST_KEY: Final = 256
@@ -123,7 +124,11 @@ class Authenticator:
         self._guesses = GuessLimiter(access.token) if access.token is not None else None
 
     async def admit(self, socket: WebSocket) -> Client:
-        """Return the client of a valid first message; raise RequestRejected, or WebSocketDisconnect."""
+        """Return the client of a valid first message.
+
+        Raises RequestRejected, TimeoutError if none comes in time, as through a network that stalls, or
+        WebSocketDisconnect.
+        """
         if not (_is_known_host(socket, self._hosts) and _is_own_page(socket)):
             raise RequestRejected("this console rejects pages of other sites")
         address = socket.client.host if socket.client is not None else ""
@@ -178,10 +183,12 @@ class Authenticator:
 
 
 async def _before(event: asyncio.Event, message: Coroutine[Any, Any, str]) -> str:
-    """Return ``message``; "" if ``event`` or the time-out of a first message comes before."""
+    """Return ``message``; "" if ``event`` comes before. Raises TimeoutError if neither comes in time."""
     waiting = [asyncio.ensure_future(message), asyncio.ensure_future(event.wait())]
     try:
-        await asyncio.wait(waiting, timeout=_HELLO_TIMEOUT_WALL_S, return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait(waiting, timeout=_HELLO_TIMEOUT_WALL_S, return_when=asyncio.FIRST_COMPLETED)
+        if not done:
+            raise TimeoutError
         return str(waiting[0].result()) if waiting[0].done() else ""
     finally:
         for each in waiting:
@@ -197,6 +204,10 @@ async def _serve_client(
         client = await authenticator.admit(socket)
     except RequestRejected as error:
         await _reject(socket, str(error))
+        return
+    except TimeoutError:
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await socket.close(_TOO_LATE, f"no first message within {_HELLO_TIMEOUT_WALL_S:g} s")
         return
     except WebSocketDisconnect:
         return

@@ -57,7 +57,8 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
 
 def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
     """Return the renderer of the vision unit of ``rig``."""
-    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vmu_params.mounting(rig)
+    bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
+    mounting = vmu_params.mounting_as_built(rig, scenario)
     board, rng = board_of(estimator_of_unit(rig.vmu)), stream(seed, "pictures")
     return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng, board)
 
@@ -73,7 +74,7 @@ def emulated_television(
     scene = load_scene(config.scene).value
     renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
     bench, mounting, noise = (
-        bench_params.bench(rig, scenario.step_s, scenario.bench),
+        bench_params.bench_as_built(rig, scenario.step_s, scenario.bench),
         monitor_params.mounting(config),
         stream(seed, "monitor"),
     )

@@ -53,7 +53,10 @@ class EmulatedVision(NamedTuple):
 
 def seen_axes(scenario: Scenario, rig: Rig, board: SharedAxisState) -> SeenAxes:
     """Return what the cameras of a bench see of the axes of ``board``, relative to the target where it is rotated."""
-    bench, manipulator = bench_params.bench(rig, scenario.step_s, scenario.bench), bench_params.manipulator(rig)
+    bench, manipulator = (
+        bench_params.bench_as_built(rig, scenario.step_s, scenario.bench),
+        bench_params.manipulator(rig),
+    )
 
     def seen(t_s: float) -> tuple[Array, Array]:
         rails, gimbals = board.read("rails", t_s)[0], board.read("turntable", t_s)[0]
@@ -99,7 +102,7 @@ def emulated_sensor(
     by_datagrams = config.source == "udp"
     protocol = LineProtocol() if by_datagrams else kind.module.wire
     assert protocol is not None
-    bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
+    bench = kernel_record(bench_params.bench_as_built(rig, scenario.step_s, scenario.bench))
     seen, trial = seen_axes(scenario, rig, board), Trial(kind, settings_row(kind, config))
     r, q = np.empty(3), np.empty(4)
 

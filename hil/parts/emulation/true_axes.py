@@ -36,7 +36,7 @@ class TrueAxesWatch:
     ) -> None:
         self._rows: Telemetry = NoTelemetry()
         self._board, self._now_s = board, now_s
-        self._bench = kernel_record(bench_params.bench(rig, step_s, shown))
+        self._bench = kernel_record(bench_params.bench_as_built(rig, step_s, shown))
         self._mounting = kernel_record(vmu_params.mounting(rig))
         self._manipulator = bench_params.manipulator(rig)
         self._errors = np.zeros(1), np.zeros(1)

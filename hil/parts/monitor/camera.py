@@ -85,7 +85,7 @@ class RenderedCamera:
     """Renders the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
 
     def __init__(self, scene: Scene, config: DockingMonitorConfig, rig: Rig, step_s: float, seed: int) -> None:
-        self.track = EncoderTrack(bench_params.bench(rig, step_s), mounting(config))
+        self.track = EncoderTrack(bench_params.bench_as_built(rig, step_s), mounting(config))
         self._renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
         self._rng = stream(seed, "monitor")
         self._next = 0

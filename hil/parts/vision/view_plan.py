@@ -42,11 +42,12 @@ class PlanRequest:
 class Clearance:
     """Guard volume of the bench for moves outside a run.
 
-    bench: BENCH_PARAMS. guard: GUARD. margin_m: by which its distances are larger.
+    bench: BENCH_PARAMS. guard: GUARD. margin_m: by which its distances are larger. brakes: whether the axes must also
+    be able to brake before it at each position of a move.
     """
 
-    def __init__(self, bench: np.record, guard: np.record, margin_m: float) -> None:
-        self._bench = bench
+    def __init__(self, bench: np.record, guard: np.record, margin_m: float, brakes: bool = False) -> None:
+        self._bench, self._brakes = bench, brakes
         self._guard = guard.copy()
         self._guard.zone.radius += margin_m
         self._guard.zone.plane += margin_m
@@ -60,6 +61,8 @@ class Clearance:
         for t_s in np.linspace(0.0, move.duration_s, _SAMPLES):
             move.at(t_s, axes)
             if self._volume.check_position(axes) is not None:
+                return False
+            if self._brakes and self._volume.check_motion(axes) is not None:
                 return False
         return True
 
@@ -86,7 +89,8 @@ def plan_views(
         text = f"{len(candidates)} views with the LEDs in both images within the travel, {request.count} are required"
         raise BadInput.single("--drive", "", text)
     chosen = _most_informative([_information(setup, turntable, held, axes) for axes in candidates], request.count)
-    return _short_way(candidates[chosen], bench, is_clear)
+    views = candidates[chosen]
+    return views[short_way(views, bench, is_clear)]
 
 
 def _candidates(
@@ -157,8 +161,8 @@ def _most_informative(matrices: list[Array], count: int) -> list[int]:
     return chosen
 
 
-def _short_way(views: Array, bench: np.record, is_clear: IsClear) -> Array:
-    """Return the views in the order of clear ways: from the farthest one on, each the nearest that is left.
+def short_way(views: Array, bench: np.record, is_clear: IsClear) -> list[int]:
+    """Return the numbers of ``views`` (n, 6) in the order of clear ways: from the farthest, each the nearest left.
 
     One that has no clear way from the last is put between two others; if there are none such, it is left out.
     """
@@ -178,4 +182,4 @@ def _short_way(views: Array, bench: np.record, is_clear: IsClear) -> Array:
             if is_clear(views[way[position - 1]], views[k]) and is_clear(views[k], views[way[position]]):
                 way.insert(position, k)
                 break
-    return views[way]
+    return way

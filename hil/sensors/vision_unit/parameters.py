@@ -7,8 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.bench_geometry import errors_as_built, measured_errors
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.machine import parts_of
 from hil.core.messages import Array, new
 from hil.maths import quat
 from hil.maths.elementary import square
@@ -48,7 +50,17 @@ def _errors(scenario: Scenario, seed: int) -> np.record:
 
 
 def mounting(rig: Rig) -> np.record:
-    """Return MOUNTING: camera on the chaser, LED ring on the target."""
+    """Return MOUNTING: camera on the chaser, LED ring on the target, as far as they are known."""
+    return mounting_of(rig, measured_errors(rig))
+
+
+def mounting_as_built(rig: Rig, scenario: Scenario) -> np.record:
+    """Return MOUNTING of mock and emulated rigs: ``mounting`` unless they have errors. scenario: of the truth."""
+    return mounting_of(rig, errors_as_built(rig, scenario.bench.errors))
+
+
+def mounting_of(rig: Rig, vector: Array | None) -> np.record:
+    """Return MOUNTING of a machine with the parameters ``vector`` (PARAMETERS,), m and rad; None: an ideal one."""
     params = new(MOUNTING)
     params.camera_position = rig.bench.camera_position_m
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
@@ -56,6 +68,14 @@ def mounting(rig: Rig) -> np.record:
     params.q_th = quat.from_matrix(np.array(rig.bench.led_ring_axes))
     params.position_variance = square(rig.vmu.bench_sigma_m)
     params.attitude_variance = square(math.radians(rig.vmu.bench_sigma_deg))
+    if vector is not None:
+        of = parts_of(vector)
+        params.camera_position, params.led_ring_position = (
+            params.camera_position + of["camera_m"],
+            params.led_ring_position + of["ring_m"],
+        )
+        params.q_vc = quat.multiply(params.q_vc, quat.from_rotation_vector(of["camera_deg"]))
+        params.q_th = quat.multiply(params.q_th, quat.from_rotation_vector(of["ring_deg"]))
     return params
 
 

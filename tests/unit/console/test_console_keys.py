@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
+from websockets.exceptions import ConnectionClosedError
 from websockets.sync.client import connect
 
 from hil.core.operator_keys import OperatorKey
@@ -113,3 +114,14 @@ def test_second_person_has_another_key_and_none_without_keys() -> None:
         stub.request = request  # type: ignore[method-assign]
         text = page.ask("order", order="arm", confirmed=True)["text"]
         assert text.endswith("whom only a key identifies: start the console with --operators")
+
+
+def test_first_message_that_a_network_holds_back_is_no_refusal(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that is refused asks who its operator is; one whose reply was late connects again by itself."""
+    monkeypatch.setattr("hil.parts.console.app._HELLO_TIMEOUT_WALL_S", 0.2)
+    with connect(f"ws://{lab.address}/ws", close_timeout=0.1) as silent:
+        assert "challenge" in json.loads(silent.recv(5.0))
+        with pytest.raises(ConnectionClosedError) as closed:
+            silent.recv(5.0)
+    assert closed.value.rcvd is not None
+    assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (4408, "no first message within 0.2 s")

@@ -57,6 +57,11 @@ def test_a_pose_passes_through_a_line_with_all_its_digits(written: Written) -> N
     np.testing.assert_allclose(decoded.pose.q_vt, pose(7).q_vt, atol=1e-15)
 
 
+def test_file_that_is_edited_is_read_again(written: Written) -> None:
+    first = frame_codec(written(FILE)).encode(pose(7))
+    assert frame_codec(written(FILE.replace("$POSE", "$VMU"))).encode(pose(7)) != first
+
+
 def test_lines_are_found_in_a_stream_and_damage_is_counted(written: Written) -> None:
     codec = frame_codec(written(FILE))
     lines = [codec.encode(pose(k)) for k in range(3)]

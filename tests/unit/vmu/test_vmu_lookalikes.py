@@ -266,7 +266,7 @@ def with_clusters(image: Image, count: int, rng: np.random.Generator) -> Image:
 
 @pytest.mark.parametrize(
     ("clusters", "lit", "status"),
-    [(300, 6, "ok"), (300, 0, "rejected_budget"), (1500, 6, "rejected_crowded"), (0, 0, "rejected_dark")],
+    [(300, 6, "ok"), (300, 0, "rejected_time"), (1500, 6, "rejected_crowded"), (0, 0, "rejected_dark")],
 )
 def test_hot_clusters_do_not_make_an_image_dark(clusters: int, lit: int, status: str) -> None:
     unit, rng = VisionUnit(known_geometry(VERY_GOOD)), np.random.default_rng(4)

@@ -162,8 +162,7 @@ class AsciiTransport:
         """Discard data received before the request, if there are no sequence numbers."""
         if self.protocol.has_sequence or self._port is None:
             return
-        if self._port.in_waiting:
-            self._lines.extend(self._splitter.feed(self._read()))
+        self._lines.extend(self._splitter.feed(self._read(wait=False)))
         self.counts["duplicates"] += len(self._lines)
         self._lines.clear()
 
@@ -182,12 +181,12 @@ class AsciiTransport:
         except OSError as error:
             raise LinkLost(self.device, f"write to {self._path} failed: {error}") from error
 
-    def _read(self) -> bytes:
-        """Return the received bytes, b"" after half a reply time; does not wait for more."""
+    def _read(self, wait: bool = True) -> bytes:
+        """Return the received bytes, b"" after half a reply time, at once without ``wait``; waits for no more."""
         if self._port is None:
             raise LinkLost(self.device, "is not open")
         try:
-            first: bytes = self._port.read(1)
+            first: bytes = self._port.read(1) if wait or self._port.in_waiting else b""
             return first + self._port.read(self._port.in_waiting) if first else first
         except (OSError, TypeError) as error:
             raise LinkLost(self.device, f"read from {self._path} failed: {error}") from error

@@ -14,6 +14,7 @@ from hil.api.jobs import load_scenario
 from hil.core.build_info import build_info
 from hil.errors import BadInput, Problem
 from hil.parts.campaigns.api.requirements import RunRequirement
+from hil.parts.campaigns.batch import code_digest
 from hil.parts.campaigns.campaign import scenario_digest
 
 _OF_SCENARIO: Final = ("seed", "overrides", "faults", "gnc")
@@ -87,14 +88,15 @@ def _is_id(value: object) -> bool:
 
 
 def digest_of_test(item: pytest.Item, rig_digest: str) -> str:
-    """Return a digest of the test's file, its scenario, the rig and the program; without a valid scenario of the rest.
+    """Return a digest of the test's file, its scenario with the files that it names, the rig and the program.
 
-    A Python GNC is in it by the test's file alone.
+    Without a valid scenario it is of the rest; a Python object that flies is in it by the test's file alone.
     """
     given = conditions_of(item)
     parts = [build_info().commit, rig_digest, str(given.seed), item.nodeid]
     try:
-        parts.append(scenario_digest(load_scenario(given.scenario, given.settings)))
+        scenario = load_scenario(given.scenario, given.settings)
+        parts += [scenario_digest(scenario), code_digest(scenario)]
     except BadInput as error:
         parts.append(str(error))
     content = hashlib.sha256("\n".join(parts).encode())

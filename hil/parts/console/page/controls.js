@@ -105,7 +105,7 @@ export class Controls {
   notify(text) {
     $("answer").textContent = text;
     clearTimeout(this.clearing);
-    if (text) this.clearing = setTimeout(() => ($("answer").textContent = ""), ANSWER_MS);
+    if (text) this.clearing = setTimeout(() => this.notify(this.link.old ? text : ""), ANSWER_MS);
   }
 
   takeOrRelease() {

@@ -2,7 +2,7 @@
 
 import { device, proof } from "/page/keys.js";
 
-const BEAT_MS = 200, BEATS = 5, RECONNECT_MS = 1000, LOST_MS = 500, OLD_S = 0.5, DROPPED_MS = 3000;
+const BEAT_MS = 200, BEATS = 5, RECONNECT_MS = 1000, LOST_MS = 500, OLD_S = 0.5, DROPPED_MS = 3000, GREETED_MS = 6000;
 
 export class Link {
   // on: {message(header, rows, data), required(what), opened(), refused(text), lost()}; required returns, or promises, who
@@ -70,10 +70,11 @@ export class Link {
     this.socket = socket;
   }
 
-  // Drop a connection that has been silent for so long: what it still holds is refused for its age when it arrives.
+  // Drop a connection that has been silent for so long, or on which no challenge came in the time that the console waits
+  // for the reply: what it still holds is refused for its age when it arrives.
   drop() {
     const since_ms = performance.now() - Math.max(this.received_ms, this.opened_ms);
-    if (!this.socket || !this.greeted || since_ms < DROPPED_MS) return;
+    if (!this.socket || since_ms < (this.greeted ? DROPPED_MS : GREETED_MS)) return;
     this.socket.close();
     this.socket = null;
     this.forget();

@@ -1,0 +1,1 @@
+"""Geometry of the bench: plan of poses, measurement, bundle fit, and drift check."""
