@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.maths import linear, quat
+from hil.params.bench_budget import BenchSigma
 from hil.parts.tracker.encoder_poses import EncoderPoses, Moment, difference
 from hil.parts.tracker.frames import BodyPose, Mounting, TrackedFrame
 from hil.parts.tracker.table import Tracker
@@ -23,6 +24,7 @@ _LEAST: Final = 5  # samples in it
 _MEASURED: Final = 50  # frames by which a body that stands is measured
 _EARLY_S: Final = 2e-3  # by which a moment may be in the future
 _INDEPENDENT: Final = 4.0  # samples of a window, whose noise is correlated
+_SINGLE: Final = 0.8  # part of a difference that the error of a single axis explains at least
 _NAN: Final = np.full(6, np.nan)
 
 
@@ -71,10 +73,13 @@ class Deviation(NamedTuple):
 
 
 class BenchComparison:
-    """Frames of a tracker against the poses of the encoders, and of bodies that stand against where they stood."""
+    """Frames of a tracker against the poses of the encoders, and of bodies that stand against where they stood.
 
-    def __init__(self, table: Tracker, encoders: EncoderPoses) -> None:
-        self._table, self.encoders = table, encoders
+    worth: what these poses are worth by a measured geometry; None: what the table states.
+    """
+
+    def __init__(self, table: Tracker, encoders: EncoderPoses, worth: BenchSigma | None = None) -> None:
+        self._table, self.encoders, self._worth = table, encoders, worth
         self._mountings = {role: Mounting.of(b.position_m, b.rotation_deg) for role, b in table.bodies.items()}
         self._stood: dict[str, tuple[Array, Array]] = {}  # r in W, and W to its axes, of a body that stands
         self._first: dict[str, list[tuple[Array, Array]]] = {role: [] for role in table.bodies if role != "chaser"}
@@ -259,6 +264,10 @@ class BenchComparison:
         """Return the bounds of a mean difference at ``moment``, m and rad. sigma_m: of the samples of the tracker."""
         table, late_s = self._table, self.latency.sigma_s
         of_bench, of_bench_rad = table.bench_sigma_m, math.radians(table.bench_sigma_deg)
+        if self._worth is not None:
+            by_geometry = self._worth(moment.axes[:3], moment.axes[3:])
+            of_bench = float(by_geometry.sigma_m.max())
+            of_bench_rad = math.radians(by_geometry.sigma_deg.max())
         sigma_rad = math.radians(table.sigma_deg)
         position = (of_bench, self._frame_sigma * linear.length(moment.r), late_s * linear.length(moment.rate[:3]))
         attitude = (of_bench_rad, self._frame_sigma, late_s * linear.length(moment.rate[3:]))
@@ -291,6 +300,9 @@ class BenchComparison:
         assert self._moment is not None
         off = np.nan_to_num(chaser.mean)
         axis, error, part = self.encoders.blame(self._moment.axes, off, self.sigmas())
+        if part < _SINGLE:
+            shown = " ".join(f"{1e3 * each:+.2f}" for each in off[:3])
+            return f"the base of the rails, by {shown} mm in H: no single axis explains it"
         shown = f"{1e3 * error:+.2f} mm" if axis < 3 else f"{math.degrees(error):+.3f} deg"
         return f"{axis_names[axis]} or its base: {shown} explains {100.0 * part:.0f} %"
 

@@ -23,6 +23,7 @@ from hil.loop.outcome import Outcome
 from hil.loop.runner import Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.params import bench as bench_params
+from hil.params.bench_budget import BenchSigma
 from hil.parts.tracker.comparison import BenchComparison, ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
 from hil.parts.tracker.frames import TrackedFrame, TrackerSource
@@ -83,7 +84,8 @@ class TrackerWatch:
         self._job, self._clock = job, parts.clock
         scenario = job.scenario.value
         self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
-        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s))
+        worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
+        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s), worth)
         self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
@@ -118,10 +120,10 @@ class TrackerWatch:
         rails, turntable = runner.loop.bench.rails, runner.loop.bench.turntable
         assert isinstance(rails, MockAxes)
         assert isinstance(turntable, MockAxes)
-        servos = rails.servo, turntable.servo
+        servos, as_built = (rails.servo, turntable.servo), kernel_record(runner.loop.memory.params.mock.bench)
 
         def true_pose(_: float) -> tuple[Array, Array]:
-            return pose_of(self._bench, np.concatenate([servo.position for servo in servos]))
+            return pose_of(as_built, np.concatenate([servo.position for servo in servos]))
 
         self._source = MockTracker(self._config, self._job.seed, true_pose)
 

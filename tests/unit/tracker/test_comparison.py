@@ -159,3 +159,8 @@ def test_wrong_tables_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=text):
             _table(**keys)
+
+
+def test_base_that_moves_along_no_axis_is_stated_by_its_displacement() -> None:
+    flown = Flight(23.0, faults=[{"kind": "moved", "at_s": 20.0, "value": [0.002, -0.002, 0.002]}])
+    assert flown.cause().startswith("the base of the rails, by +")
