@@ -24,7 +24,7 @@ from hil.loop.runner import Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.params import bench as bench_params
 from hil.params.bench_budget import BenchSigma
-from hil.parts.tracker.comparison import BenchComparison, ComparedSample, Deviation
+from hil.parts.tracker.comparison import WINDOW_S, BenchComparison, ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
 from hil.parts.tracker.frames import TrackedFrame, TrackerSource
 from hil.parts.tracker.mock import MockTracker
@@ -94,7 +94,7 @@ class TrackerWatch:
         self._statistics = TruthStatistics(self._bench, scenario.step_s)
         self._source: TrackerSource | None = None
         self._alarm = ""
-        self._off = False
+        self._off, self._beyond_s = False, math.nan  # last time with all differences within their bounds
         self._first_s = math.nan
         self._cycles = 0
         self._kept: list[np.ndarray] = []
@@ -158,9 +158,9 @@ class TrackerWatch:
             | {"latency_ms": 1e3 * comparison.latency.value_s, "latency_sigma_ms": 1e3 * comparison.latency.sigma_s},
             "alarm": self._alarm or None,
         }
-        withheld = self._alarm or ("" if comparison.counts["ok"] else "no sample of the tracker could be compared")
+        withheld = self._alarm or ("" if comparison.counts["ok"] else "tracker: no sample could be compared")
         rows = np.concatenate([np.zeros(0, SAMPLE), *self._kept])
-        return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld and f"tracker: {withheld}")
+        return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld)
 
     def close(self) -> None:
         """Release the tracker."""
@@ -206,7 +206,9 @@ class TrackerWatch:
             return
         self._statistics.add_deviation(found.get("chaser"), self.comparison.sigmas())
         largest = max(judged.values(), key=lambda each: each.excess)
-        if largest.excess > 1.0 and not self._off:
+        if largest.excess <= 1.0 or math.isnan(self._beyond_s):
+            self._beyond_s = now_s
+        if now_s - self._beyond_s >= WINDOW_S and not self._off:  # then the means have its whole size
             self._raise(now_s, largest, self.comparison.cause(found, self._axis_names))
         elif largest.excess < _RECOVERED and self._off:
             self._off = False

@@ -114,7 +114,7 @@ def test_base_that_moves_by_three_millimetres_is_found_within_two_seconds(axis: 
     assert flown.first_beyond("target", "reference") is None
     name, _, error = flown.cause().partition(" or its base: ")
     assert name == NAMES[axis]
-    assert float(error.partition(" mm")[0]) == pytest.approx(3.0, abs=0.4)
+    assert float(error.partition(" mm")[0]) == pytest.approx(3.0, abs=0.6)
 
 
 @pytest.mark.parametrize(
@@ -163,4 +163,4 @@ def test_wrong_tables_are_refused() -> None:
 
 def test_base_that_moves_along_no_axis_is_stated_by_its_displacement() -> None:
     flown = Flight(23.0, faults=[{"kind": "moved", "at_s": 20.0, "value": [0.002, -0.002, 0.002]}])
-    assert flown.cause().startswith("the base of the rails, by +")
+    assert "the base of the rails, or the geometry, off by +" in flown.cause()
