@@ -35,6 +35,7 @@ from hil.session.assembly import Job
 
 NAME: Final = "tracker"
 _WAITING: Final = 64  # frames that wait for the encoders
+_PER_CYCLE: Final = 4  # frames that are compared
 _ROWS_MAX: Final = 200_000  # that are kept in memory
 _JUDGED_EACH: Final = 5  # cycles
 _SILENT_S: Final = 2.0
@@ -128,7 +129,7 @@ class TrackerWatch:
         self._source = MockTracker(self._config, self._job.seed, true_pose)
 
     def put(self, row: np.ndarray) -> None:
-        """Pass ``row``, (1,) of CYCLE, on, and compare the newest frame whose moment its encoders have reached."""
+        """Pass ``row``, (1,) of CYCLE, on, and compare the newest frames whose moments its encoders have reached."""
         self._rows.put(row)
         if self._source is None:
             return
@@ -138,12 +139,13 @@ class TrackerWatch:
             self._source.run_zero_s = self._zero_s
         for frame in self._source.poll(now_s):
             self._waiting.append((self.comparison.moment_of(frame), frame))
-        due = None
+        due: deque[tuple[float, TrackedFrame]] = deque(maxlen=_PER_CYCLE)
         while self._waiting and self.comparison.is_due(*self._waiting[0]):
-            due = self._waiting.popleft()
-        if due is not None and (sample := self.comparison.compare(due[1], due[0])) is not None:
-            self._statistics.add(sample)
-            self._record(sample)
+            due.append(self._waiting.popleft())
+        for late_s, frame in due:
+            if (sample := self.comparison.compare(frame, late_s)) is not None:
+                self._statistics.add(sample)
+                self._record(sample)
         self._cycles += 1
         if self._cycles % _JUDGED_EACH == 0:
             self._judge(now_s)
