@@ -18,7 +18,7 @@ BIN := .venv/bin
 # packages of the digests in requirements/, and nothing else
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes
 EDITABLE := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
-	--editable . --editable plugins/foxglove
+	--editable . $(addprefix --editable ,$(dir $(wildcard plugins/*/pyproject.toml)))
 
 # one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
@@ -104,7 +104,7 @@ tidy: .venv/ready
 	$(BIN)/ruff check --fix .
 
 # what runs the program; repeated only after a change of the dependencies
-.venv/run: pyproject.toml plugins/foxglove/pyproject.toml requirements/build.txt requirements/run.txt
+.venv/run: pyproject.toml $(wildcard plugins/*/pyproject.toml) requirements/build.txt requirements/run.txt
 	$(PYTHON) -m venv .venv
 	$(INSTALL) --requirement requirements/build.txt --requirement requirements/run.txt
 	$(EDITABLE)

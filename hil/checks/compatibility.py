@@ -55,11 +55,16 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    return check_transfers(scenario) or [
+    problems = check_transfers(scenario) or [
         *check_vehicle(scenario),
         *check_target_motion(scenario, rig),
-        *check_reachability(scenario, rig),
+        *(check_reachability(scenario, rig) if rig.value.floating is None else []),
     ]
+    if problems or rig.value.arm is None:
+        return problems
+    from hil.checks.arm import check_arm  # of few rigs
+
+    return check_arm(scenario, rig)
 
 
 def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:

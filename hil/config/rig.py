@@ -9,10 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from hil.config.tables.arm import Arm
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
+from hil.config.tables.floating import Floating
 from hil.config.tables.guard import BenchBody, GuardConfig, check_kinds
 from hil.config.tables.host import (
     ClockConfig,
@@ -846,6 +848,9 @@ class Rig(FileTable):
     flight_computer: FlightComputer = FlightComputer()
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
+    arm: Arm | None = None
+    """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""
+    floating: Floating | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
     linear_axes: dict[Name, HeldLinearAxes] = Field(default_factory=dict)
@@ -875,9 +880,14 @@ class Rig(FileTable):
         return [name for name in BENCH_AXES if name.partition(".")[2] not in groups[name.partition(".")[0]].driven]
 
     @property
+    def hidden(self) -> list[str]:
+        """Those of ``undriven`` along which the bench does not show the truth; a floating vehicle shows it itself."""
+        return self.undriven if self.floating is None else []
+
+    @property
     def is_reduced(self) -> bool:
         """Whether the bench cannot show every pose, or has L not parallel to H."""
-        return bool(self.undriven) or self.bench.lab_axes != UNIT_AXES
+        return bool(self.hidden) or self.bench.lab_axes != UNIT_AXES
 
     @property
     def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
@@ -948,9 +958,50 @@ class Rig(FileTable):
         return self
 
     @model_validator(mode="after")
+    def _nothing_drives_what_floats(self) -> Self:
+        if self.floating is None:
+            return self
+        driven = [f"{key}.{name}" for key, table in self.axis_groups.items() for name in table.driven]
+        wrong = {
+            f"{', '.join(driven)} driven, allowed no axis": driven,
+            "bench.axes_rate_hz, allowed none": self.bench.axes_rate_hz is not None,
+            "bench.lab_axes, allowed those of H": self.bench.lab_axes != UNIT_AXES,
+            f'bench.gimbal_order "{self.bench.gimbal_order}", allowed "yxz", "yzx": y outside': (
+                self.bench.gimbal_order[0] != "y"
+            ),
+            f'vmu.driver "{self.vmu.driver}", allowed one that measures the pose': not self.has_vmu,
+            "no thruster lines, allowed io.thruster_lines of an io.driver": (
+                self.io is None or not self.has_io or not self.io.thruster_lines
+            ),
+        }
+        for text, is_wrong in wrong.items():
+            if is_wrong:
+                raise ValueError(f"floating: does not go with {text}")
+        return self
+
+    @model_validator(mode="after")
     def _one_thing_moves_the_target(self) -> Self:
         if self.moved_target is not None and self.rotated_target is not None:
             raise ValueError('rotary_manipulator.driver: does not go with target_manipulator, allowed "none"')
+        return self
+
+    @property
+    def moved_by_arm(self) -> bool:
+        """Whether a robot on wires stands for rails and turntable."""
+        return self.rails.driver == "arm"
+
+    @model_validator(mode="after")
+    def _an_arm_stands_for_both(self) -> Self:
+        drivers = {"rails": self.rails.driver, "turntable": self.turntable.driver}
+        expected = "mock" if self.kind == "mock" else "arm"
+        if self.arm is not None:
+            for key, driver in drivers.items():
+                if driver != expected:
+                    raise ValueError(f'{key}.driver = "{driver}": does not go with [arm], allowed "{expected}"')
+            if self.undriven or self.rails.controllers or self.turntable.controllers:
+                raise ValueError("arm: stands for six axes, allowed: none of them fixed or on a controller of its own")
+        elif "arm" in drivers.values():
+            raise ValueError('driver = "arm": needs the table [arm] of the robot')
         return self
 
     @model_validator(mode="after")
@@ -1064,6 +1115,8 @@ class Rig(FileTable):
         for key, group in groups.items():
             keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
             tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
+        if self.arm is not None and self.moved_by_arm:
+            tables["arm"] = self.arm
         if self.io is not None and self.has_io:
             tables["io"] = self.io
         return tables | ({"vmu": self.vmu} if self.has_vmu else {})

@@ -235,7 +235,7 @@ class CyclicAxisGroup:
     def _serve(self) -> None:
         triggered = False
         while not self._closing.is_set():
-            started_s = self._clock.now_s()
+            started_s = self._due_s()
             if self._stopping.is_set() and not self._stopped.is_set():
                 self._link.quick_stop()
                 self._stopped.set()
@@ -260,6 +260,10 @@ class CyclicAxisGroup:
         if not is_plug_in(type(self._link)):
             return feedback
         return checked_feedback(self.name, method, feedback, len(self.axis_names))
+
+    def _due_s(self) -> float:
+        """Return the bench time for which the next exchange is due."""
+        return self._clock.now_s()
 
     def _next_setpoint(self, now_s: float) -> tuple[Array, Array]:
         """Return the position and rate due now."""

@@ -1,4 +1,4 @@
-"""UDP wires: datagrams that a port of this computer receives, by the wall clock or counted in lock-step."""
+"""UDP wires: datagrams that a port of this computer receives and may answer, by the wall clock or in lock-step."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ def wire_key(port: int) -> str:
 class DatagramPort:
     """A port of this computer, with the interface of a serial port as far as readers use it.
 
-    timeout_s: longest wait of ``read``, wall time, bench time in lock-step. Raises OSError if it cannot be opened.
+    timeout_s: longest wait of ``read``, wall time, bench time in lock-step. answered: to the first sender alone, others
+    are not received then. Raises OSError if it cannot be opened.
     """
 
     in_waiting = 0
 
-    def __init__(self, clock: BenchClock, host: str, port: int, timeout_s: float) -> None:
+    def __init__(self, clock: BenchClock, host: str, port: int, timeout_s: float, answered: bool = False) -> None:
         self.port = f"{host}:{port}"
         self._timeout_s = timeout_s
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -36,6 +37,7 @@ class DatagramPort:
             raise
         self._socket.settimeout(_DELIVERED_WALL_S)
         self._wire = clock.wire(wire_key(port), 1)
+        self._answered, self._connected = answered, False
 
     @property
     def number(self) -> int:
@@ -47,14 +49,29 @@ class DatagramPort:
         descriptor = self._socket.fileno()
         if not self._wire.wait(descriptor, self._timeout_s):
             return b""
-        with suppress(TimeoutError):
-            if length := len(self._socket.recv(_LONGEST, socket.MSG_PEEK)):
-                return self._wire.read(descriptor, length)
+        with suppress(TimeoutError, ConnectionRefusedError):
+            data, sender = self._socket.recvfrom(_LONGEST, socket.MSG_PEEK)
+            if data:
+                received = self._wire.read(descriptor, len(data))
+                if self._answered and not self._connected:
+                    self._socket.connect(sender)
+                    self._connected = True
+                return received
             self._socket.recv(1)  # an empty one
         return b""
 
+    def answer(self, data: bytes) -> None:
+        """Send a datagram to the sender of the first one."""
+        with suppress(ConnectionRefusedError):
+            self._wire.write(self._socket.fileno(), data)
+
     def close(self) -> None:
-        """Close the port. Idempotent."""
+        """Close the port, with what has not been read. Idempotent."""
+        self._timeout_s = 0.0
+        self._socket.settimeout(0.0)
+        with suppress(OSError, ValueError):
+            while self.read():
+                pass
         self._wire.close()
         self._socket.close()
 
@@ -73,7 +90,12 @@ class DatagramSender:
         self._wire = clock.wire(wire_key(port), 0)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return b"": nothing is sent to the device."""
+        """Return the next answer, b"" if none comes within ``timeout_s``, wall time, bench time in lock-step."""
+        descriptor = self._socket.fileno()
+        if self._wire.wait(descriptor, timeout_s):
+            with suppress(ConnectionRefusedError, BlockingIOError):
+                length = len(self._socket.recv(_LONGEST, socket.MSG_PEEK | socket.MSG_DONTWAIT))
+                return self._wire.read(descriptor, length)
         return b""
 
     def write(self, data: bytes) -> None:

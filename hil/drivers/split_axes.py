@@ -157,7 +157,12 @@ class RigDrivers:
 
 def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> RigDrivers:
     """Return the drivers of all axes and of the vision unit. period_s: of the setpoints; None: at any time."""
-    axes = {name: make_axes(table, clock, name) for name, table in rig.axis_groups.items()}
+    axes: dict[str, AxisGroup] = {}
+    if rig.moved_by_arm:
+        from hil.drivers.arm.device import make_arm  # of few rigs
+
+        axes |= make_arm(rig, clock)
+    axes |= {name: make_axes(table, clock, name) for name, table in rig.axis_groups.items() if name not in axes}
     for group in axes.values():
         if period_s is not None and isinstance(group, Streams):
             group.set_period(period_s)

@@ -72,7 +72,8 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     if not alone:
         yield html.heading(1, run.name)
     accepted = results.accepted
-    text = f"PASS {results.not_required_text()}".rstrip() if accepted else "FAIL"
+    failed = f"NO VERDICT: {results.withheld}" if results.withheld else "FAIL"
+    text = f"PASS {results.not_required_text()}".rstrip() if accepted else failed
     yield html.paragraph(text, f"verdict {'pass' if accepted else 'fail'}")
     yield html.paragraph(
         f"{recorded.run['run']}, started {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
@@ -145,6 +146,8 @@ def _numbers(results: RunResults) -> Iterator[str]:
     if results.vision:
         counted = [(name, str(count)) for name, count in results.vision.items()]
         yield html.table(("vision unit", "count"), counted)
+    if truth := results.truth:
+        yield html.table(("truth", ""), [(name.replace("_", " "), f"{value}") for name, value in truth.items()])
     if sensors := results.sensors:
         keys = ("accepted", "rejected", "excluded", "too_late", "suspected", "mean_nis")
         samples = [

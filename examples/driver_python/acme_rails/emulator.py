@@ -25,7 +25,7 @@ class AcmeEmulator:
         self, config: Rails, clock: BenchClock, shared: SharedAxisState, seed: int = 0, name: str = "rails"
     ) -> None:
         self._clock = clock
-        self._baud = config.settings.baud
+        self._baud, self._response_s = config.settings.baud, config.settings.emulated_response_s
         self._axes = EmulatedAxes(name, config, clock, shared, seed=seed)
         self.faults = self._axes.faults
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
@@ -93,4 +93,4 @@ class AcmeEmulator:
                 self._axes.follow(axis, position[axis], rate[axis], self._clock.now_s(), **watchdog)
         answer = f"{int(self._status)} {codec.encode_numbers(self._axes.position, self._axes.rate)}"
         text = f"{number} {MODEL if command == codec.IDENT else answer}"
-        self._channel.put(codec.encode(text), self._clock.now_s())
+        self._channel.put(codec.encode(text), self._clock.now_s() + self._response_s)

@@ -12,11 +12,12 @@ from hil.config.tables.model import ConfigModel
 
 
 class AcmeSettings(ConfigModel):
-    """Serial line of the controller, and the model that it must report."""
+    """Serial line of the controller, the model that it must report, and habits of the emulated one."""
 
     port: str | None = None
     baud: Annotated[int, Field(gt=0)] = 460_800
     model: str | None = None
+    emulated_response_s: Annotated[float, Field(ge=0.0, le=0.04)] = 0.0
 
 
 def _check(rails: Rails) -> None:

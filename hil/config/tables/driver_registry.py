@@ -26,7 +26,7 @@ from hil.config.tables.open_table import OpenTable, model_of_field
 from hil.core.plug_ins import plug_in_error, raised_text
 from hil.errors import BadInput, HilError
 
-Device = Literal["rails", "turntable", "vmu", "io"]
+Device = Literal["rails", "turntable", "vmu", "io", "arm"]
 WireKind = Literal["serial", "tcp", "udp", "can", "camera", "other"]
 
 GROUP: Final = "hil.drivers"
@@ -34,8 +34,10 @@ _PACKAGE: Final = "hil"
 _BUILT_IN: Final = {
     "rails.modbus": "hil.drivers.rails.entry:TCP",
     "rails.modbus_rtu": "hil.drivers.rails.entry:RTU",
+    "rails.arm": "hil.drivers.arm.entry:RAILS",
     "turntable.cia402": "hil.drivers.turntable.cia402.entry:ENTRY",
     "turntable.ascii": "hil.drivers.turntable.ascii.entry:ENTRY",
+    "turntable.arm": "hil.drivers.arm.entry:TURNTABLE",
     "vmu.rs422": "hil.drivers.vmu.entry:ENTRY",
     "vmu.udp": "hil.drivers.vmu.entry:DATAGRAMS",
     "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
@@ -119,6 +121,7 @@ class DriverEntry:
     setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
     if its speed does not matter.
     axes: numbers of axes that driver and emulator of an axis group serve, those of ``table.axis_names``.
+    model: import path of the model of a robot, ``factory(table)``: ``RobotModel`` in ``hil.drivers.arm.model``.
     keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
     wires by it: required in lock-step.
     """
@@ -136,6 +139,7 @@ class DriverEntry:
     emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
     axes: range = range(3, 4)
+    model: str = ""
     keeps_bench_time: Callable[[Any], bool] = lambda table: False
 
 

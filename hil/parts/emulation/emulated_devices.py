@@ -45,7 +45,8 @@ class EmulatedDevices:
         sensors: Sequence[str] = (),
     ) -> None:
         self.board = SharedAxisState.create()
-        self._write_fixed_axes(rig)
+        if rig.floating is None:  # otherwise the vehicle writes where its axes would stand
+            self._write_fixed_axes(rig)
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
@@ -56,7 +57,9 @@ class EmulatedDevices:
         self.processes: dict[str, ChildProcess] = {}
         """Of each device, by the device's name; to stop one is to cut the device's power."""
         self._sends_images = "vmu" if images else ""
-        axes = [part for name, table in rig.axis_groups.items() for part in table.parts(name)]
+        groups = {name: table for name, table in rig.axis_groups.items() if table.driver != "arm"}
+        axes = [part for name, table in groups.items() for part in table.parts(name)]
+        axes += ["arm"] if rig.moved_by_arm else []
         orders = {"io": Order.COUPLER} | dict.fromkeys(axes, Order.AXES)
         try:
             for device in (*axes, *_devices(scenario, rig), *map(device_of, sensors)):
@@ -137,7 +140,8 @@ def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return what is emulated in a process each other than axes: devices, and parts of devices as ``DEVICE.PART``."""
     parts = rig.vmu.entry.emulated_parts if rig.has_vmu else ()
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"] if rig.has_vmu else []
-    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera"}
+    tracker = rig.table_of_part("tracker") is not None
+    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera", "tracker": tracker}
     return (*vision, *(device for device, is_there in more.items() if is_there))
 
 
@@ -148,10 +152,14 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
         tables["target_manipulator" if rig.moved_target is not None else "rotary_manipulator"] = target
     for key in ("linear_axes", "rotary_axes"):
         tables[key] = {name: tables.pop(name, table) for name, table in getattr(rig, key).items()}
+    if rig.arm is not None:
+        tables["arm"] = rig.arm.connected("arm", addresses)
     if rig.has_vmu:
         tables["vmu"] = rig.vmu.connected("vmu", addresses)
     if rig.io is not None and rig.has_io:
         tables["io"] = rig.io.connected("io", addresses)
+    if (tracker := rig.table_of_part("tracker")) is not None:
+        tables["tracker"] = tracker.connected(addresses["tracker"])
     lines = {
         name.removeprefix("sensor."): SensorLine(port=address)
         for name, address in addresses.items()

@@ -17,6 +17,7 @@ from hil.core.clock import WallClock, clock_of
 from hil.core.plug_ins import wrong_return
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.setpoint_limiter import compile_profile
+from hil.parts.emulation.digital_io import PublishChain
 from hil.parts.emulation.fault_injection import ControlPort, Faults
 from hil.parts.emulation.shared_state import SharedAxisState
 
@@ -74,6 +75,10 @@ def make_emulator(configuration: Message) -> Emulator:
 
         assert isinstance(clock, WallClock)  # ensured by ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
+    if device == "tracker":
+        from hil.parts.emulation.trackers import emulated_tracker
+
+        return emulated_tracker(scenario, rig, seed, board, clock)
     if device == "sensor":
         from hil.parts.emulation.emulated_vision import emulated_sensor
 
@@ -83,8 +88,15 @@ def make_emulator(configuration: Message) -> Emulator:
         emulator = rig.axis_groups[device].parts(device)[name].make_emulator(clock, board, seed=seed, name=name)
         return emulator
     table: DeviceTable = getattr(rig, device)
-    if device == "io":
-        emulator = table.make_emulator(clock, board.write_chain, seed=seed)
+    if device == "arm":
+        emulator = table.make_emulator(rig, clock, board, seed=seed)
+    elif device == "io":
+        publish: PublishChain = board.write_chain
+        if rig.floating is not None:
+            from hil.parts.emulation.floating_vehicle import FloatingVehicle
+
+            publish = FloatingVehicle(scenario, rig, seed, board).publish
+        emulator = table.make_emulator(clock, publish, seed=seed)
     elif part:
         from hil.parts.emulation.emulated_cameras import emulated_images
 

@@ -1,0 +1,130 @@
+"""Cycles of a robot that sends a datagram in each of them: their times by the robot's own clock, answers and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Generic, NamedTuple, TypeVar
+
+from hil.core.clock import BenchClock
+from hil.drivers.datagrams import DatagramPort
+from hil.errors import LinkLost, LinkTimeout
+
+_EARLY, _LATE, _DRIFT = 0.3, 0.02, 0.01  # gains: a datagram can only be delayed
+_DRIFT_MAX: Final = 0.2
+_POLLS: Final = 0.25  # of the longest silence
+_ROUNDING_S: Final = 1e-6
+_LOST_S: Final = 0.05  # arrival that far from its estimate: the estimate begins anew
+
+State = TypeVar("State")
+
+
+class RobotTime:
+    """Bench time of a robot's cycles: offset and drift of its clock, from arrivals that vary."""
+
+    def __init__(self) -> None:
+        self.t_s = self._robot_s = 0.0
+        self.rate = 0.0
+        """Bench seconds per second of the robot, 0 before the second cycle."""
+
+    def update(self, robot_s: float, arrived_s: float) -> float:
+        """Return the bench time of the cycle at ``robot_s`` of the robot's clock, which arrived at ``arrived_s``."""
+        elapsed_s, self._robot_s = robot_s - self._robot_s, robot_s
+        expected_s = self.t_s + self.rate * elapsed_s
+        error_s = arrived_s - expected_s
+        if self.rate == 0.0 or elapsed_s <= 0.0 or abs(error_s) > _LOST_S:
+            self.t_s, self.rate = arrived_s, self.rate or 1.0
+            return self.t_s
+        change = _DRIFT * min(1.0, max(-1.0, error_s / elapsed_s))
+        self.rate = min(1.0 + _DRIFT_MAX, max(1.0 - _DRIFT_MAX, self.rate + change))
+        self.t_s = expected_s + (_EARLY if error_s < 0.0 else _LATE) * error_s
+        return self.t_s
+
+
+class Cycle(NamedTuple, Generic[State]):
+    """A cycle of the robot. number: of the datagram. robot_s: time by the robot's clock. state: what it sends."""
+
+    number: int
+    robot_s: float
+    state: State
+
+
+class RobotCycles(Generic[State]):
+    """Wire of a robot. decode: returns the cycle of a datagram, raises ValueError for one that is damaged.
+
+    step: of the numbers of two consecutive cycles. timeout_s: longest silence, bench time.
+    """
+
+    def __init__(
+        self, clock: BenchClock, decode: Callable[[bytes], Cycle[State]], step: int, period_s: float, timeout_s: float
+    ) -> None:
+        self._clock, self._decode, self._step = clock, decode, step
+        self._period_s, self._timeout_s = period_s, timeout_s
+        self._port: DatagramPort | None = None
+        self.counts = dict.fromkeys(("exchanges", "lost", "protocol_errors", "duplicates", "late_answers"), 0)
+
+    def open(self, host: str, port: int) -> None:
+        """Open the port. Raises LinkLost, also if another program has it."""
+        self.close()
+        self._time, self._last = RobotTime(), None
+        self._received_s = self._clock.now_s()
+        self.counts = dict.fromkeys(self.counts, 0)
+        try:
+            self._port = DatagramPort(
+                self._clock, host, port, self._clock.wall_s(_POLLS * self._timeout_s), answered=True
+            )
+        except OSError as error:
+            raise LinkLost("arm", f"cannot open udp {host}:{port}: {error.strerror or error}") from error
+
+    _last: int | None = None
+
+    @property
+    def t_s(self) -> float:
+        """Bench time of the last cycle."""
+        return self._time.t_s
+
+    @property
+    def drift(self) -> float:
+        """Bench seconds per second of the robot's clock, less 1."""
+        return self._time.rate - 1.0 if self._time.rate else 0.0
+
+    def next(self, may_be_silent: bool = False) -> Cycle[State] | None:
+        """Return the next cycle; None for a damaged or repeated one. Raises LinkTimeout after a silence, LinkLost."""
+        if self._port is None:
+            raise LinkLost("arm", "is not open")
+        try:
+            data = self._port.read()
+        except OSError as error:
+            raise LinkLost("arm", f"udp port failed: {error}") from error
+        now_s = self._clock.now_s()
+        try:
+            cycle = self._decode(data) if data else None
+        except ValueError:
+            self.counts["protocol_errors"] += 1
+            cycle = None
+        if cycle is None or cycle.number == self._last:
+            self.counts["duplicates"] += cycle is not None
+            silent_s = now_s - self._received_s
+            if silent_s > self._timeout_s - _ROUNDING_S and not may_be_silent:
+                raise LinkTimeout("arm", f"no cycle for {silent_s:.3f} s, allowed {self._timeout_s:g} s")
+            return None
+        if self._last is not None and 1 < (gap := (cycle.number - self._last) // self._step) < 1000:
+            self.counts["lost"] += gap - 1
+        self._last, self._received_s = cycle.number, now_s
+        self._time.update(cycle.robot_s, now_s)
+        self.counts["exchanges"] += 1
+        return cycle
+
+    def answer(self, data: bytes) -> None:
+        """Answer the last cycle; counts an answer that leaves in the second half of the cycle."""
+        if self._port is not None:
+            self.counts["late_answers"] += self._clock.now_s() - self.t_s > 0.5 * self._period_s
+            try:
+                self._port.answer(data)
+            except OSError as error:
+                raise LinkLost("arm", f"udp port failed: {error}") from error
+
+    def close(self) -> None:
+        """Close the port. Idempotent."""
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()

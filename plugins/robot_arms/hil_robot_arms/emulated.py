@@ -1,0 +1,99 @@
+"""Mechanics of an emulated robot: the axes of rails and turntable behind one controller, with the lag of this."""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.core.clock import BenchClock
+from hil.core.messages import Array
+from hil.drivers.arm.model import ArmKinematics, FlangePose, Unreachable
+from hil.maths.random_streams import stream
+from hil.parts.emulation.emulated_axes import EmulatedAxes
+from hil.parts.emulation.fault_injection import Faults, FaultyChannel
+from hil.parts.emulation.shared_state import SharedAxisState
+from hil_robot_arms.settings import arm_model
+
+
+class EmulatedRobot:
+    """Robot of ``rig``, whose controller gives it a pose of the flange per cycle, followed after ``lag_s``.
+
+    faults: of the controller's wire and of the six axes. channel: what the controller sends, under these faults.
+    """
+
+    def __init__(self, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0) -> None:
+        names = (*rig.rails.axis_names, *rig.turntable.axis_names)
+        self.faults = Faults("arm", ("wire", "drive"), names)
+        self.channel = FaultyChannel(self.faults, stream(seed, "wire"))
+        self.lag_s = 0.0
+        assert rig.arm is not None
+        self._kinematics, self._model = ArmKinematics(rig), arm_model(rig.arm)
+        self._groups = tuple(
+            EmulatedAxes(name, table, clock, shared, self.faults, seed=seed)
+            for name, table in (("rails", rig.rails), ("turntable", rig.turntable))
+        )
+        self._names = names
+        self._coming: deque[tuple[float, Array, Array]] = deque()
+        self._given: Array | None = None
+        self._joints: Array | None = None
+
+    @property
+    def torque_off(self) -> bool:
+        """Whether the safety chain has stopped the robot."""
+        return any(group.torque_off for group in self._groups)
+
+    @property
+    def drive_fault(self) -> bool:
+        """Whether the drive of an axis has failed since the last call."""
+        return any(self.faults.pop("drive_fault", name) is not None for name in self._names)
+
+    def pose(self, now_s: float) -> FlangePose:
+        """Return the flange by the encoders; joints of the last pose that has some."""
+        position, axes = self._kinematics.flange(self.axes)
+        with suppress(Unreachable):
+            self._joints = self._model.joints_of(position, axes, self._joints)
+        return FlangePose(now_s, position, axes, self._joints)
+
+    @property
+    def axes(self) -> Array:
+        """The six axes by the encoders, (6,), m and rad."""
+        return np.concatenate([group.position for group in self._groups])
+
+    def follow(self, flange: FlangePose, now_s: float, period_s: float) -> None:
+        """Take the next pose of the controller, ``period_s`` after the last one."""
+        axes = self._kinematics.axes_of(flange, self.axes)
+        rate = np.zeros(6) if self._given is None else (axes - self._given) / period_s
+        self._given = axes
+        self._coming.append((now_s + self.lag_s, axes, rate))
+
+    def follow_joints(self, joints: Array, now_s: float, period_s: float) -> None:
+        """Take the next joints (6,), rad, of the controller."""
+        pose = FlangePose(now_s, self._model.points(joints)[3], self._model.flange_axes(joints), joints)
+        self.follow(pose, now_s, period_s)
+
+    def brake(self) -> None:
+        """Brake all axes at their acceleration limits, then hold."""
+        self._coming.clear()
+        self._given = None
+        for group in self._groups:
+            for axis in range(len(group.names)):
+                group.brake(axis)
+
+    def advance(self, now_s: float) -> None:
+        """Advance the axes to ``now_s``; each setpoint acts when it is due."""
+        while self._coming and self._coming[0][0] <= now_s:
+            due_s, axes, rate = self._coming.popleft()
+            self._advance(due_s)
+            for first, group in zip((0, 3), self._groups, strict=True):
+                for axis in range(3):
+                    group.follow(axis, axes[first + axis], rate[first + axis], due_s)
+        self._advance(now_s)
+        for group in self._groups:
+            group.overdue = [False] * len(group.names)
+
+    def _advance(self, now_s: float) -> None:
+        for group in self._groups:
+            group.advance(now_s)

@@ -1,0 +1,268 @@
+"""One contract for all robots that stand for rails and turntable: drivers of installed packages, on their emulators.
+
+In lock-step, with the rig file that each package ships.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.config.load import load_rig
+from hil.core.clock import Order
+from hil.core.messages import Array
+from hil.drivers.arm.device import make_arm
+from hil.drivers.arm.model import ArmKinematics
+from hil.drivers.base import AxisGroup
+from hil.errors import DeviceError, LinkLost
+from hil.parts.emulation.lock_step import LockStepConductor
+from hil.parts.emulation.shared_state import SharedAxisState
+
+STEP_S = 0.02
+
+
+def rig_of(point: EntryPoint) -> str:
+    """Return the rig file in the package of a driver."""
+    spec = find_spec(point.value.partition(".")[0])
+    assert spec is not None
+    assert spec.origin is not None
+    (rig,) = (Path(spec.origin).parent / "rigs").glob("emulated-arm-*.toml")
+    return str(rig)
+
+
+RIGS = {p.name: rig_of(p) for p in sorted(entry_points(group="hil.drivers")) if p.name.startswith("arm.")}
+robots = pytest.mark.parametrize("rig_file", RIGS.values(), ids=RIGS.keys())
+
+
+class Bench:
+    """The axes of a robot and its emulated controller, in bench time."""
+
+    def __init__(self, clock: LockStepConductor, axes: dict[str, AxisGroup], robot: Any, port: int) -> None:
+        self.clock, self.robot, self.port = clock, robot, port
+        self.rails, self.turntable = axes["rails"], axes["turntable"]
+
+    @property
+    def now_s(self) -> float:
+        return self.clock.now_s()
+
+    def read(self) -> Array:
+        parts = (self.rails.read(self.now_s), self.turntable.read(self.now_s))
+        return np.concatenate([part.position for part in parts])
+
+    def send(self, axes: Array, rate: Array) -> Array:
+        rails = self.rails.send(axes[:3], rate[:3], self.now_s)
+        return np.concatenate([rails, self.turntable.send(axes[3:], rate[3:], self.now_s)])
+
+    def move(self, path: Array, duration_s: float, speed_up_s: float = 0.2) -> float:
+        """Move along ``path`` (6,) with setpoints in each step; return the largest error on the way."""
+        start, begin_s, worst = self.read(), self.now_s, 0.0
+        while (t := self.now_s - begin_s) < duration_s:
+            done, rate = profile(t + STEP_S, duration_s, speed_up_s)
+            self.send(start + path * done, path * rate)
+            self.clock.sleep(STEP_S)
+            worst = max(worst, float(np.abs(self.read() - start - path * done).max()))
+        return worst
+
+    def stands(self, duration_s: float = 0.5) -> bool:
+        """Return whether the robot stands still, by its true axes."""
+        first = self.robot.axes
+        self.clock.sleep(duration_s)
+        return bool(np.abs(self.robot.axes - first).max() < 1e-6)
+
+
+def profile(t: float, duration_s: float, speed_up_s: float) -> tuple[float, float]:
+    """Return the part of a path at ``t`` and its rate, with constant acceleration at both ends."""
+    top = 1.0 / (duration_s - speed_up_s)
+    t = min(t, duration_s)
+    if t < speed_up_s:
+        return 0.5 * top * t * t / speed_up_s, top * t / speed_up_s
+    if t > duration_s - speed_up_s:
+        left = duration_s - t
+        return 1.0 - 0.5 * top * left * left / speed_up_s, top * left / speed_up_s
+    return top * (t - 0.5 * speed_up_s), top
+
+
+@contextmanager
+def opened(rig_file: str) -> Iterator[Bench]:
+    clock, stop, board = LockStepConductor(STEP_S, 30.0), threading.Event(), SharedAxisState.create()
+    rig = load_rig(rig_file).value
+    assert rig.arm is not None
+    controller = rig.arm.make_emulator(rig, clock, board)
+    addresses = controller.start()
+    rig = rig.model_copy(update={"arm": rig.arm.connected("arm", addresses)})
+    served = clock.start_thread(lambda: controller.run(stop), "controller", Order.AXES)
+    axes = make_arm(rig, clock)
+    try:
+        for group in axes.values():
+            group.open(clock.now_s())
+        yield Bench(clock, axes, controller.robot, int(addresses["arm"].rpartition(":")[2]))
+    finally:
+        for group in axes.values():
+            group.close()
+        stop.set()
+        clock.join(served, 5.0)
+        controller.close()
+        board.close()
+        clock.close()
+
+
+PATH = np.array([-0.2, 0.1, 0.05, 0.05, -0.05, 0.1])
+
+
+@robots
+def test_robot_opens_where_it_stands_and_follows_setpoints(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        start = bench.read()
+        assert bench.stands(0.2)
+        assert bench.move(PATH, 2.0) < 0.01
+        bench.clock.sleep(0.5)
+        assert bench.read() == pytest.approx(start + PATH, abs=2e-4)
+
+
+@robots
+def test_stop_brakes_along_the_path_and_nothing_moves_after(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        start = bench.read()
+        move_for(bench, PATH / 2.0, 1.0)
+        bench.rails.stop(bench.now_s)
+        bench.clock.sleep(0.6)
+        held = bench.robot.axes
+        along = (held - start)[0] / PATH[0]
+        assert held == pytest.approx(start + along * PATH, abs=5e-4)
+        bench.send(start, np.zeros(6))
+        assert bench.stands()
+        bench.turntable.disable(bench.now_s)
+        assert bench.stands()
+
+
+def move_for(bench: Bench, rate: Array, duration_s: float) -> None:
+    """Move at ``rate`` (6,), m/s and rad/s, for a time, and do not brake."""
+    start, begin_s = bench.read(), bench.now_s
+    while (t := bench.now_s - begin_s) < duration_s:
+        done = 0.5 * t * t / 0.3 if t < 0.3 else t - 0.15
+        bench.send(start + rate * done, rate * min(1.0, t / 0.3))
+        bench.clock.sleep(STEP_S)
+
+
+@robots
+def test_setpoints_that_cease_let_the_robot_brake_within_its_limits(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        move_for(bench, PATH / 2.0, 1.0)
+        before, fastest = bench.robot.axes, 0.0
+        for _ in range(25):
+            bench.clock.sleep(STEP_S)
+            fastest, before = max(fastest, np.abs(bench.robot.axes - before).max()), bench.robot.axes
+        assert fastest < 1.1 * 0.1 * STEP_S
+        assert bench.stands()
+        assert np.isfinite(bench.read()).all()
+
+
+FAULTS = {
+    "drop 1.0": ("no cycle for 0.1", 0.25),
+    "corrupt 1.0": ("(no cycle for 0.1|the controller has ended)", 0.25),
+    "delay 0.5": ("no cycle for 0.1", 0.25),
+    "link_down": ("no cycle for 0.1", 0.25),
+    "freeze": ("repeats its last pose", 0.25),
+    "drive_fault x": ("the controller has ended", 0.1),
+}
+"""Fault of the emulated controller -> begin of the error, and the time within which it is raised, s."""
+
+
+@robots
+@pytest.mark.parametrize(("fault", "text", "within_s"), [(k, *v) for k, v in FAULTS.items()], ids=FAULTS.keys())
+def test_fault_names_the_robot_in_time_and_nothing_moves_after(
+    rig_file: str, fault: str, text: str, within_s: float
+) -> None:
+    with opened(rig_file) as bench:
+        move_for(bench, PATH / 2.0, 1.0)
+        assert bench.robot.faults.execute(f"on {fault}") == "ok"
+        begin_s = bench.now_s
+        with pytest.raises(DeviceError, match=f"^arm: {text}"):
+            move_for(bench, PATH / 2.0, 2.0)
+        assert bench.now_s - begin_s <= within_s
+        bench.rails.stop(bench.now_s)
+        bench.clock.sleep(0.8)
+        assert bench.stands()
+
+
+@robots
+def test_repeated_telegrams_change_nothing_and_are_counted(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        start = bench.read()
+        bench.robot.faults.execute("on duplicate 1.0")
+        bench.move(PATH, 2.0)
+        bench.clock.sleep(0.5)
+        assert bench.read() == pytest.approx(start + PATH, abs=2e-4)
+        counts = bench.rails.counters()  # type: ignore[attr-defined]
+        assert counts["duplicates"] > 0.9 * counts["exchanges"]
+        assert counts["protocol_errors"] == counts["lost"] == 0
+
+
+@robots
+def test_some_lost_telegrams_are_counted_and_bridged(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        start = bench.read()
+        bench.robot.faults.execute("on drop 0.1")
+        bench.move(PATH, 2.0)
+        bench.clock.sleep(0.5)
+        assert bench.read() == pytest.approx(start + PATH, abs=2e-4)
+        assert 20 < bench.rails.counters()["lost"] < 120  # type: ignore[attr-defined]
+
+
+@robots
+def test_limit_of_the_robot_is_named_and_it_stands_before(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        kinematics = ArmKinematics(load_rig(rig_file).value)
+        with pytest.raises(DeviceError, match=r"^arm: .*allowed"):
+            bench.move(np.array([0.0, -3.0, 0.0, 0.0, 0.0, 0.0]), 12.0, 1.0)  # over its own base
+        bench.rails.stop(bench.now_s)
+        bench.clock.sleep(0.8)
+        kinematics.target(bench.robot.axes, 0.0, None)
+        assert bench.stands()
+
+
+@robots
+def test_port_has_one_user_and_one_sender(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        rig = load_rig(rig_file).value
+        assert rig.arm is not None
+        arm = rig.arm.connected("arm", {"arm": f"127.0.0.1:{bench.port}"})
+        second = make_arm(rig.model_copy(update={"arm": arm}), bench.clock)["rails"]
+        with pytest.raises(LinkLost, match=f"^arm: cannot open udp 127.0.0.1:{bench.port}: "):
+            second.open(bench.now_s)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for _ in range(50):
+                stranger.sendto(b"<Rob><IPOC>1</IPOC></Rob>", ("127.0.0.1", bench.port))
+        start = bench.read()
+        bench.move(PATH, 2.0)
+        bench.clock.sleep(0.5)
+        assert bench.read() == pytest.approx(start + PATH, abs=2e-4)
+        assert bench.rails.counters()["protocol_errors"] == 0  # type: ignore[attr-defined]
+
+
+@robots
+def test_loop_is_closed_on_the_emulated_robot(rig_file: str) -> None:
+    run = hil.run("scheme-1", rig=rig_file, duration_s=2.0, overrides={"rig.host.time": "lock_step"})
+    assert run.summary["stop"] == "completed"
+    assert max(run.summary["bench"]["rail_error_max_m"]) < 0.005
+
+
+@pytest.mark.slow
+@robots
+def test_scheme_1_on_a_robot_is_that_on_rails(rig_file: str) -> None:
+    """pytest -m slow tests/contract/test_pose_device.py"""
+    lock_step = {"rig.host.time": "lock_step"}
+    runs = [hil.run("scheme-1", rig=rig, overrides=lock_step) for rig in ("emulated", rig_file)]
+    rails, robot = (run.truth.r_CT_H for run in runs)
+    assert [run.summary["passed"] for run in runs] == [True, True]
+    assert np.abs(rails - robot).max() < 1e-4
