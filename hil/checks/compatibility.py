@@ -58,7 +58,7 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     problems = check_transfers(scenario) or [
         *check_vehicle(scenario),
         *check_target_motion(scenario, rig),
-        *check_reachability(scenario, rig),
+        *(check_reachability(scenario, rig) if rig.value.floating is None else []),
     ]
     if problems or rig.value.arm is None:
         return problems

@@ -112,7 +112,9 @@ def _check_gravity(scenario: Loaded[Scenario], body: CentralBody) -> list[Proble
 
 def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     truth = scenario.value.truth
-    has = {"drag": ("atmosphere", body.atmosphere), "third_bodies": ("third_bodies", body.third_bodies)}
+    is_free = truth.relative_motion == "free"
+    has: dict[str, tuple[str, object]] = {"gravity_gradient": ("", True)} if is_free else {}
+    has |= {"drag": ("atmosphere", body.atmosphere), "third_bodies": ("third_bodies", body.third_bodies)}
     problems = []
     for name, (table, given) in has.items():
         if not getattr(truth, name):
@@ -120,8 +122,8 @@ def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[
         key = f"truth.{name}"
         if not given:
             problems.append(Problem(scenario.where(key), key, f"true: the file of {body.name} has no {table}"))
-        elif truth.relative_motion == "hill":
-            text = 'true: does not act on truth.relative_motion = "hill", allowed "nonlinear"'
+        elif truth.relative_motion != "nonlinear":
+            text = f'true: does not act on truth.relative_motion = "{truth.relative_motion}", allowed "nonlinear"'
             problems.append(Problem(scenario.where(key), key, text))
     return problems
 

@@ -28,14 +28,14 @@ def unseen_plan(scenario: Scenario, rig: Rig) -> Array:
 
 def unseen_warnings(scenario: Scenario, rig: Rig) -> list[str]:
     """Return a line with what the bench does not show of the plan; none if all of its axes have a drive."""
-    if not rig.undriven:
+    if not rig.hidden:
         return []
     try:
         largest = unseen_plan(scenario, rig)
     except ValueError:  # refused by the check of the plan
         return []
     return [
-        f"{rig.name} has no drive for {', '.join(rig.undriven)}: of the plan it does not show {unseen_text(largest)}; "
+        f"{rig.name} has no drive for {', '.join(rig.hidden)}: of the plan it does not show {unseen_text(largest)}; "
         "the vision unit does not see that motion, the IMU and the verdict have it"
     ]
 

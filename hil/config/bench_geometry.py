@@ -1,4 +1,4 @@
-"""Geometry file of a bench, as ``hil geometry fit`` writes it; the machine that a rig is believed, or built, to be."""
+"""Geometry file of a bench, as ``hil geometry fit`` writes it; errors of a rig, as measured and as built."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _load(path: str, _changed_ns: int, _size: int) -> BenchGeometryFile:
     return geometry
 
 
-def believed(rig: Rig) -> Array | None:
+def measured_errors(rig: Rig) -> Array | None:
     """Return the parameters of the geometry file, (PARAMETERS,), None without one.
 
     Raises BadInput if it cannot be read, and if it is of a bench with other arms, mountings or travel.
@@ -130,7 +130,7 @@ def believed(rig: Rig) -> Array | None:
 
 
 def geometry_of(rig: Rig) -> BenchGeometryFile | None:
-    """Return the geometry file of ``rig``, None without one. Raises BadInput as ``believed``."""
+    """Return the geometry file of ``rig``, None without one. Raises BadInput as ``measured_errors``."""
     path = rig.bench.geometry_file
     if path is None:
         return None
@@ -141,12 +141,12 @@ def geometry_of(rig: Rig) -> BenchGeometryFile | None:
     return geometry
 
 
-def built(rig: Rig, errors: MachineErrors = _NO_ERRORS) -> Array | None:
+def errors_as_built(rig: Rig, errors: MachineErrors = _NO_ERRORS) -> Array | None:
     """Return the parameters of the machine that a mock or emulated rig moves, None without errors.
 
-    That of hardware is the one which is believed. errors: of the scenario. Raises BadInput as ``believed``.
+    That of hardware is the measured one. errors: of the scenario. Raises BadInput as ``measured_errors``.
     """
-    own = believed(rig)
+    own = measured_errors(rig)
     if rig.kind == "hardware":
         return own
     if not rig.bench.errors.is_empty:

@@ -14,6 +14,7 @@ from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
+from hil.config.tables.floating import Floating
 from hil.config.tables.guard import BenchBody, GuardConfig, check_kinds
 from hil.config.tables.host import (
     ClockConfig,
@@ -849,6 +850,7 @@ class Rig(FileTable):
     io: Io | None = None
     arm: Arm | None = None
     """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""
+    floating: Floating | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
     linear_axes: dict[Name, HeldLinearAxes] = Field(default_factory=dict)
@@ -878,9 +880,14 @@ class Rig(FileTable):
         return [name for name in BENCH_AXES if name.partition(".")[2] not in groups[name.partition(".")[0]].driven]
 
     @property
+    def hidden(self) -> list[str]:
+        """Those of ``undriven`` along which the bench does not show the truth; a floating vehicle shows it itself."""
+        return self.undriven if self.floating is None else []
+
+    @property
     def is_reduced(self) -> bool:
         """Whether the bench cannot show every pose, or has L not parallel to H."""
-        return bool(self.undriven) or self.bench.lab_axes != UNIT_AXES
+        return bool(self.hidden) or self.bench.lab_axes != UNIT_AXES
 
     @property
     def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
@@ -948,6 +955,28 @@ class Rig(FileTable):
                 f"turntable.{name}.fixed_deg {middle.park_deg:g}: the middle gimbal of bench.gimbal_order, allowed "
                 f"-{MIDDLE_AXIS_MAX_DEG:g} to {MIDDLE_AXIS_MAX_DEG:g}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _nothing_drives_what_floats(self) -> Self:
+        if self.floating is None:
+            return self
+        driven = [f"{key}.{name}" for key, table in self.axis_groups.items() for name in table.driven]
+        wrong = {
+            f"{', '.join(driven)} driven, allowed no axis": driven,
+            "bench.axes_rate_hz, allowed none": self.bench.axes_rate_hz is not None,
+            "bench.lab_axes, allowed those of H": self.bench.lab_axes != UNIT_AXES,
+            f'bench.gimbal_order "{self.bench.gimbal_order}", allowed "yxz", "yzx": y outside': (
+                self.bench.gimbal_order[0] != "y"
+            ),
+            f'vmu.driver "{self.vmu.driver}", allowed one that measures the pose': not self.has_vmu,
+            "no thruster lines, allowed io.thruster_lines of an io.driver": (
+                self.io is None or not self.has_io or not self.io.thruster_lines
+            ),
+        }
+        for text, is_wrong in wrong.items():
+            if is_wrong:
+                raise ValueError(f"floating: does not go with {text}")
         return self
 
     @model_validator(mode="after")

@@ -39,6 +39,7 @@ PROTOCOL = AlarmKind("protocol", "a device", "H-06")
 DRIVE_FAULT = AlarmKind("drive fault", "a device", "H-06")
 DEVICE = AlarmKind("device", "a device", "H-06")
 ERROR = AlarmKind("error", "bench", "H-06")
+MEASURED_POSE = AlarmKind("measured pose", "vmu", "H-13", "s", "none for {}", "one within {}", (3, 3))
 LOST_PACKETS = AlarmKind("lost packets", "a device", "H-06", digits=(1, 1))
 LOST_PERIODS = AlarmKind("lost periods", "loop", "H-16", digits=(0, 0))
 # axes

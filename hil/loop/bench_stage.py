@@ -59,6 +59,9 @@ class BenchStage:
     moves with the chaser's rig; None if the target stands still. inputs: for the safety monitor.
     """
 
+    can_hold = True
+    """Whether a run can be held: braked axes stand."""
+
     def __init__(
         self,
         rails: AxisGroup,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from hil.config.bench_geometry import built
+from hil.config.bench_geometry import errors_as_built
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
@@ -108,7 +108,7 @@ def set_truth(params: np.record, truth: Scenario, rig: Rig, seed: int, dss: np.r
     """
     vmu = truth.vmu
     params.mock.bench = params.bench
-    set_geometry(params.mock.bench, rig, built(rig, truth.bench.errors))
+    set_geometry(params.mock.bench, rig, errors_as_built(rig, truth.bench.errors))
     params.mock.mounting = vmu_params.mounting_as_built(rig, truth)
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
     params.mock.vision = vmu_params.model(truth, seed)

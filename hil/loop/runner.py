@@ -324,8 +324,10 @@ class Runner:
         return self._hold(t_s)
 
     def _hold(self, t_s: float) -> float:
-        self._sequencer.require_resumable_hold()
         reason = self.safety.hold_reason or "commanded by the operator"
+        if not self.loop.bench.can_hold:
+            raise table.HOLD.trip("bench", f"({reason})", "none: the vehicle floats")
+        self._sequencer.require_resumable_hold()
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         previous = self._sequencer.ticks
         self._sequencer.hold(self._sequencer.tick())

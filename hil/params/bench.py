@@ -12,7 +12,7 @@ from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
-from hil.config.bench_geometry import believed, built
+from hil.config.bench_geometry import errors_as_built, measured_errors
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
@@ -45,6 +45,7 @@ def bodies(
 
 
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
+_FREE = np.finfo(np.float32).max  # m, m/s, ...: no limit, and still a number
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
 
 
@@ -59,14 +60,16 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     _set_axes(params, slice(6), axes)
     params.reduced, params.fixed = rig.is_reduced, [axis.is_fixed for axis in axes]
     params.q_HL = quat.from_matrix(np.array(rig.bench.lab_axes).T)
-    set_geometry(params, rig, believed(rig))
+    if rig.floating is not None:  # its axes are those of the measured pose
+        params.low, params.high, params.rate_max, params.acceleration_max = -_FREE, _FREE, _FREE, _FREE
+    set_geometry(params, rig, measured_errors(rig))
     return params
 
 
 def bench_as_built(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     """Return BENCH_PARAMS of the machine that a mock or emulated rig moves: ``bench`` unless it has errors."""
     params = bench(rig, step_s, shown)
-    set_geometry(params, rig, built(rig, shown.errors))
+    set_geometry(params, rig, errors_as_built(rig, shown.errors))
     return params
 
 
@@ -134,8 +137,8 @@ def following_limits(rig: Rig) -> tuple[list[float], list[float]]:
 def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return GUARD: following errors, travel, bodies of the bench, and the scenario's keep-out.
 
-    The keep-out by the encoders is off without the bench guard, and with a target that rotates on a manipulator: the
-    axes of the chaser's rig alone do not show where its reference point is.
+    The keep-out by the encoders is off without the bench guard, without encoders, and with a target that rotates on a
+    manipulator: the axes of the chaser's rig alone do not show where its reference point is.
     """
     axes, guard = bench(rig, scenario.step_s, scenario.bench), new(GUARD)
     geometry = rig.bench
@@ -143,7 +146,7 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
     guard.homed, guard.zone = 1, keep_out_zone(scenario)
     guard.zone.axis = quat.transform_back(axes.q_HL, guard.zone.axis)  # the guard volume is in L
-    if rig.rotated_target is not None or not rig.guard.enabled:
+    if rig.rotated_target is not None or rig.floating is not None or not rig.guard.enabled:
         guard.zone.radius, guard.zone.plane = 0.0, -math.inf
     guard.arm, guard.arm_length = axes.lever_arm, linear.length(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
@@ -161,6 +164,8 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params.enabled = config.enabled
     params.zone = keep_out_zone(scenario)
     params.deceleration, params.turning_deceleration = _decelerations(axes)
+    if rig.floating is not None:
+        params.deceleration = scenario.gnc.abort.brake_mps2
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
     params.chaser, params.target = (
         bodies(scenario.keep_out.bodies, "chaser"),
@@ -172,6 +177,8 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles
     params.limited_max = max(1, round(config.limited_max_s / axes.dt_s))
     params.axis_max = [config.axis_error_max_m] * 3 + [math.radians(config.axis_error_max_deg)] * 3
+    if rig.floating is not None:  # which has no drives
+        params.axis_max = _FREE
     params.axis_per_speed_s, params.axis_cycles = config.axis_error_per_speed_s, config.axis_error_cycles
     gains = [rig.rails.servo.gain_per_s] * 3 + [rig.turntable.servo.gain_per_s] * 3
     params.axis_decay = [1.0 / (1.0 + gain * step_s) for gain in gains]

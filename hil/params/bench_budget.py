@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.machine_poses import pose_sigmas
-from hil.config.bench_geometry import believed, geometry_of
+from hil.config.bench_geometry import geometry_of, measured_errors
 from hil.config.rig import Rig
 from hil.config.tables.machine import NAMES, PARAMETERS, ROTATIONS
 from hil.core.messages import Array
@@ -36,7 +36,7 @@ class BenchSigma:
     """
 
     def __init__(self, rig: Rig, step_s: float) -> None:
-        vector = believed(rig)
+        vector = measured_errors(rig)
         self._machines = machines_about(rig, step_s, np.zeros(PARAMETERS) if vector is None else vector)
         self._covariance = parameter_covariance(rig)
         self._steps = np.full(PARAMETERS, STEP)

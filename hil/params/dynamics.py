@@ -50,9 +50,17 @@ def semi_major_axis_m(target: Orbit) -> float:
     return central_body(target).radius_m + target.altitude_m
 
 
+AT_REST_RADPS = 1e-6  # of axes that do not rotate, or whose rotation the filters add themselves: no gravity gradient
+
+
 def orbit_rate(scenario: Scenario) -> float:
-    """Return the mean orbital rate about a point mass, rad/s."""
-    return mean_motion(scenario.orbit)
+    """Return the mean orbital rate about a point mass, rad/s; 0 without a field."""
+    return 0.0 if scenario.truth.relative_motion == "free" else mean_motion(scenario.orbit)
+
+
+def expected_rate(scenario: Scenario) -> float:
+    """Return the mean orbital rate, rad/s, as the GNC has it: by its ephemeris, or next to none without a field."""
+    return AT_REST_RADPS if scenario.truth.relative_motion == "free" else mean_motion(scenario.gnc_orbit)
 
 
 def mean_motion(target: Orbit) -> float:
@@ -90,7 +98,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     """
     params = new(DSS_PARAMS)
     params.dt_s = scenario.sample_s
-    params.relative_motion = HILL if scenario.truth.relative_motion == "hill" else NONLINEAR
+    params.relative_motion = NONLINEAR if scenario.truth.relative_motion == "nonlinear" else HILL
     params.planar = scenario.chaser.planar
     params.orbit_rate = orbit_rate(scenario)
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
@@ -269,7 +277,7 @@ def _set_target(truth: np.record, scenario: Scenario) -> None:
     )
     a, rate = np.empty((3, 3)), np.empty(3)
     orbit.hill_frame(r, v, a)
-    if scenario.truth.relative_motion == "hill":
+    if scenario.truth.relative_motion != "nonlinear":
         rate[:] = 0.0, -orbit_rate(scenario), 0.0
     else:
         pull = np.empty(3)

@@ -36,7 +36,7 @@ from hil.maths.elementary import square
 from hil.maths.kepler import mean_anomaly
 from hil.params.bench import bodies as bodies_on
 from hil.params.control_rule import control_rule
-from hil.params.dynamics import initial_truth, mean_motion, semi_major_axis_m, sun_direction
+from hil.params.dynamics import AT_REST_RADPS, expected_rate, initial_truth, semi_major_axis_m, sun_direction
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
@@ -50,7 +50,6 @@ _SOUND_S = 1.0  # for which readings must agree with the commands, or contradict
 _SETTLED_S = 0.2  # a firing has been felt, also that of a valve that is late
 _CONVERGED_FRACTION = 0.1  # fraction of the closing rate at the ready point
 _GRADIENT = 1.5  # of the squared mean motion: largest angular acceleration by the gravity gradient
-_AT_REST_RADPS = 1e-6  # rate of axes whose rotation the filters add themselves: no gravity gradient
 _TORQUE_MEAN_S = 3.0  # time constant of each low-pass of the gyros' angular acceleration
 _LEAK_MIN = 0.0017  # fraction of a thrust: bending after a slew looks like less
 _BENDING = 0.04  # of the mean torque of the firings over half a minute, that it leaves of the mean
@@ -121,7 +120,7 @@ def navigation(scenario: Scenario) -> np.record:
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
-    rate = _AT_REST_RADPS if fusion.orbit.tumble.rotates else fusion.orbit.mean_motion
+    rate = AT_REST_RADPS if fusion.orbit.tumble.rotates else fusion.orbit.mean_motion
     pkf.hill_transition = transition(rate, scenario.sample_s)
     pkf.hill_response = input_response(rate, scenario.sample_s)
     pkf.sigma_accelerometer = _with_quantum(gnc.pkf.accelerometer_noise_mps2, gnc.pkf.accelerometer_quantum_mps2)
@@ -295,7 +294,7 @@ def _reactions(scenario: Scenario) -> np.record:
 def target_orbit(scenario: Scenario) -> np.record:
     """Return TARGET_ORBIT: the target's orbit with the errors of the GNC's ephemeris."""
     orbit, params = scenario.gnc_orbit, new(TARGET_ORBIT)
-    params.mean_motion = mean_motion(orbit)
+    params.mean_motion = expected_rate(scenario)
     params.eccentricity = orbit.eccentricity
     ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(orbit)
     params.mean_anomaly = mean_anomaly(orbit.eccentricity, math.radians(orbit.true_anomaly_deg) + ahead)
@@ -506,7 +505,7 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
     params.rate_max, params.go_fraction = rule.rate_max, scenario.gnc.integrity.go_fraction
     params.go_s = scenario.requirements.go_valid_s
-    gradient = _GRADIENT * square(mean_motion(scenario.gnc_orbit))
+    gradient = _GRADIENT * square(expected_rate(scenario))
     params.drift = six(scenario.gnc.navigation.thrust.disturbance_mps2, gradient)
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max

@@ -31,6 +31,8 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
     limits.time_to_alert_s = scenario.integrity.time_to_alert_s
     limits.lost_after_s = scenario.gnc.integrity.lost_after_s
     limits.vision_range = gnc_params.vision_range_m(scenario)
+    if rig is not None and rig.floating is not None:  # a measured truth has errors of its own, which the NEES lacks
+        params.decision.settled_s = np.inf
     if rig is not None:
         limits.tracks = 1
         limits.axis_max, limits.axis_per_speed_s = bench_params.following_limits(rig)

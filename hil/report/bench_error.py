@@ -45,7 +45,7 @@ class BenchErrorSums:
         self._shares = [[(Squares(), Squares()) for _ in ("position", "attitude")] for _ in ("before", "settled")]
         self._work = np.zeros(4)
         self._is_relative = rig.rotated_target is not None
-        self._unseen = np.zeros(6) if rig.undriven else None
+        self._unseen = np.zeros(6) if rig.hidden else None
 
     def add(self, history: np.ndarray) -> None:
         """Add the rows (n,) of CYCLE; the first of them is the last row that was added before, if there was any."""

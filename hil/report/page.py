@@ -145,6 +145,8 @@ def _numbers(results: RunResults) -> Iterator[str]:
     if results.vision:
         counted = [(name, str(count)) for name, count in results.vision.items()]
         yield html.table(("vision unit", "count"), counted)
+    if truth := results.truth:
+        yield html.table(("truth", ""), [(name.replace("_", " "), f"{value}") for name, value in truth.items()])
     if sensors := results.sensors:
         keys = ("accepted", "rejected", "excluded", "too_late", "suspected", "mean_nis")
         samples = [

@@ -103,8 +103,10 @@ class AbortResults(Results):
     nearest_m: float = row("least distance from then on")
     hold_since_s: float | None = row("begin of its hold")
     range_at_end_m: float = row("distance at the end of the run")
-    drift_from_trigger: dict[str, Any] = row("free drift over one orbit from the trigger on")
-    drift_from_end: dict[str, Any] = row("free drift over one orbit from the end of the run on")
+    drift_from_trigger: dict[str, Any] | None = row(
+        "free drift over one orbit from the trigger on; null without an orbit"
+    )
+    drift_from_end: dict[str, Any] | None = row("free drift over one orbit from the end of the run on")
 
 
 class Security(PartResults):
@@ -338,6 +340,7 @@ class RunResults(Results):
     latency: Latency = row()
     timing: Timing = row("", "overruns, periods lost", lambda of: f"{of.overruns}, {of.skipped_periods}")
     clocks: dict[str, Any] | None = row("PTP and steps of the system's time, on wires")
+    truth: dict[str, Any] | None = row("device that measures a truth that is not simulated, its sigmas; else null")
     manipulator: dict[str, Any] | None = row("largest angles, rates and errors of the rotary manipulator")
     held_axes: dict[str, Any] | None = row("largest distances of further axes from their places, m or deg, by name")
     sensors: dict[str, dict[str, Any]] | None = row("[further sensors](../../explanation/sensors.md) by name")

@@ -95,6 +95,7 @@ def summarise(
             privileges=[{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
         ),
         clocks=measured.get("clocks"),
+        truth=measured.get("truth"),
         manipulator=measured.get("manipulator"),
         held_axes=measured.get("held_axes"),
         sensors=measured.get("sensors"),

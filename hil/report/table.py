@@ -61,6 +61,11 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     if run.gnc and run.gnc["library"] is not None:
         yield Text(f"GNC         {run.gnc['library']}")
     yield _navigation_text(run.navigation)
+    if truth := run.truth:
+        yield (
+            f"Truth       measured by {truth['measured_by']}, 1 sigma up to {1e3 * truth['sigma_m']:.2f} mm, "
+            f"{truth['sigma_deg']:.4f} deg; rates over {truth['rate_window_s']:g} s"
+        )
     for name, sensor in (run.sensors or {}).items():
         yield Text(f"Sensor      {name}: {_sensor_text(sensor)}")
     use, one, two = run.thrusters, number(".1f"), number(".2f")
@@ -69,7 +74,7 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
         f"({two(use.torque_on_time_360_400_s)} s in 360..400 s), "
         f"{sum(use.thruster_firings)} firings, propellant {use.propellant_kg:.3f} kg"
     )
-    yield from _bench_lines(run.bench, run.latency)
+    yield from _bench_lines(run.bench, run.latency, has_axes=run.truth is None)
     if run.clocks:
         yield f"Clocks      {_clocks_text(run.clocks, run.vision)}"
     if run.drift_check:
@@ -176,10 +181,10 @@ def _security_text(part: results.Security) -> str:
     if abort is None:
         return text
     drift = abort.drift_from_end
+    adrift = "" if drift is None else f", then adrift for an orbit nearest {drift['nearest_m']:.2f} m"
     return (
         f"{text}; aborted at {abort.at_s:.2f} s ({abort.cause}): from {abort.range_m:.2f} m, nearest "
-        f"{abort.nearest_m:.2f} m, end {abort.range_at_end_m:.2f} m, then adrift for an orbit "
-        f"nearest {drift['nearest_m']:.2f} m"
+        f"{abort.nearest_m:.2f} m, end {abort.range_at_end_m:.2f} m{adrift}"
     )
 
 
@@ -250,9 +255,9 @@ def _navigation_text(navigation: results.NavigationResults) -> str:
     )
 
 
-def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Iterator[str]:
-    """Yield the bench error and the latencies of pose and setpoint."""
-    if (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
+def _bench_lines(bench: results.BenchResults, latency: results.Latency, has_axes: bool) -> Iterator[str]:
+    """Yield the bench error, of a bench that has axes, and the latencies of pose and setpoint."""
+    if has_axes and (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
         fraction = bench.share_of_navigation_error
         share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
         yield f"Bench       camera error {errors}{share}"
@@ -261,7 +266,7 @@ def _bench_lines(bench: results.BenchResults, latency: results.Latency) -> Itera
             f"[yellow]            not shown: up to x y z {number('.3f')(bench.unseen_m)} m in H, "
             f"{number('.3f')(bench.unseen_deg)} deg about c, by axes without a drive[/]"
         )
-    if text := _energy_added_text(bench.energy or {}):
+    if has_axes and (text := _energy_added_text(bench.energy or {})):
         yield f"            {text}"
     if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:
         yield f"Emulated    camera error by the true axes, behind the encoders: {errors}"

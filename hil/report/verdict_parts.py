@@ -183,9 +183,11 @@ class AbortCourse:
 
     def course(self) -> results.AbortResults | None:
         """Return the course, None without an abort."""
-        first, last, orbit = self._first, self._last, self._scenario.orbit
+        first, last, scenario = self._first, self._last, self._scenario
         if first is None or last is None:
             return None
+        is_free = scenario.truth.relative_motion == "free"
+        drifts = (None if is_free else drift_over_an_orbit(row, scenario.orbit) for row in (first, last))
         return results.AbortResults(
             cause=ABORT_CAUSES[int(first["supervision"]["aborted"])],
             at_s=float(first["t_s"]),
@@ -193,8 +195,8 @@ class AbortCourse:
             nearest_m=self._nearest_m,
             hold_since_s=self._hold_since_s,
             range_at_end_m=linear.length(last["truth"]["r_CT_H"]),
-            drift_from_trigger=drift_over_an_orbit(first, orbit),
-            drift_from_end=drift_over_an_orbit(last, orbit),
+            drift_from_trigger=next(drifts),
+            drift_from_end=next(drifts),
         )
 
 

@@ -49,6 +49,10 @@ class JogGuard:
         at.rail_m, at.gimbal_rad = axes.rail_m, axes.gimbal_rad
         return self._found(0.0, self._guard, at)
 
+    def check_motion(self, axes: np.record) -> Alarm | None:
+        """Return the alarm of a run or a move in which the axes are at ``axes`` (AXES), with its rates."""
+        return self._found(0.0, self._guard, axes)
+
     def _found(self, now_s: float, guard: np.record, axes: np.record) -> Alarm | None:
         code = int(guards.enters_volume(guard, kernel_record(axes), self._breach))
         return None if code == NOTHING else breach_alarm(now_s, (), code, self._breach)

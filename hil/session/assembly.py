@@ -37,6 +37,7 @@ from hil.loop.bench_stage import NO_INPUTS, BenchStage, SafetyInputs
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.cycle import CyclesOf, Loop
+from hil.loop.floating import FloatingBench, FloatingDss, MeasuredTruth, MeasuredVision
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
@@ -54,6 +55,7 @@ from hil.params.sensors import sensors_of
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
+from hil.session.floating import SimulatedVehicle
 from hil.session.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.session.pose_model import PoseSensor, make_pose_sensor, transport
 from hil.session.sample_sources import datagram_sensors, wired_sensors
@@ -208,16 +210,25 @@ def assemble(
     lines = _safety_io(rig, devices.io, memory)
     rotated, held = _target(job, rig, devices, sinks)
     inputs = SafetyInputs(lines.emergency_input, lines.local_enable) if lines else NO_INPUTS
+    measured = None if rig.floating is None else MeasuredTruth(memory, rig.floating, rig.vmu.rate_hz)
     stage = BenchStage(devices.rails, devices.turntable, memory, safety, rotated, inputs)
+    if measured is not None:
+        assert lines is not None
+        stage = FloatingBench(devices.rails, devices.turntable, memory, safety, inputs, lines, measured)
     sensors = _sensors(job, rig, devices, stage, memory, parts)
     gnc, on_frame_used = _backend(job, rig, rate, memory)
     gnc.request_hold = safety.request_hold
+    if isinstance(stage, FloatingBench):
+        stage.order_abort = gnc.order_abort
+    vision_sinks = on_frame_used, sinks.get("arrivals")
     conditions = gnc.filter_monitor.conditions if gnc.filter_monitor is not None else None
     loop = Loop(
         memory=memory,
-        dss=_dss(job, memory, sinks.get("imu_samples")),
+        dss=_dss(job, memory, sinks.get("imu_samples"), measured),
         bench=stage,
-        vision=VisionStage(devices.source, memory, on_frame_used, sinks.get("arrivals")),
+        vision=VisionStage(devices.source, memory, *vision_sinks)
+        if measured is None
+        else MeasuredVision(devices.source, memory, measured, *vision_sinks),
         gnc=gnc,
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=reduce(lambda rows, layer: layer(rows), parts.layers, parts.telemetry or NoTelemetry()),
@@ -256,6 +267,8 @@ def assemble(
     )
     if sensors is not None:
         parts.meters["sensors"] = sensors.numbers
+    if measured is not None:
+        parts.meters["truth"] = measured.numbers
     if rotated is not None:
         parts.meters["manipulator"] = rotated.numbers
     if rig.held_axes:
@@ -425,9 +438,16 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
     return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
 
 
-def _dss(job: Job, memory: CoreMemory, sample_sink: Telemetry | None) -> DssStage:
-    """Return the dynamics simulation with this run's thruster errors. Raises BadInput for an FMU that is unsuitable."""
+def _dss(
+    job: Job, memory: CoreMemory, sample_sink: Telemetry | None, measured: MeasuredTruth | None = None
+) -> DssStage:
+    """Return the dynamics simulation with this run's thruster errors, or the prediction of the ``measured`` truth.
+
+    Raises BadInput for an FMU that is unsuitable.
+    """
     scenario, noise = job.truth, NormalRows(noise_source(job.seed, "imu"), IMU_NOISE)
+    if measured is not None:
+        return FloatingDss(memory, dynamics_params.field(scenario), noise, measured)
     stage = provided("models", "scenario") if scenario.models else lambda _, *parts: DssStage(*parts)
     sink = sample_sink if job.scenario.value.imu_samples > 1 else None
     made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink)
@@ -466,13 +486,20 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
     bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
     manipulator = bench_params.manipulator(rig)
 
+    vehicle = None if rig.floating is None else SimulatedVehicle(scenario, rig, seed)
+
     def pose_at(t_s: float) -> PoseFrame | None:
+        if vehicle is not None:
+            shown = vehicle.axes_at(t_s)
+            return sensor.measure(shown.rail_m, shown.gimbal_rad, t_s)
         axes = rails.position_at(t_s), turntable.position_at(t_s)
         if manipulator is not None and target is not None:
             axes = relative_axes(bench, manipulator, *axes, target.position_at(t_s))
         return sensor.measure(*axes, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    if io is not None and vehicle is not None:
+        io.fire = vehicle.fire
     frames = transport(scenario.vmu, seed)
     source = MockVmu(rig.vmu, pose_at, frames, mock.transit, memory.frames)
     held = {name: MockAxes(name, table) for name, table in rig.held_axes.items()}

@@ -10,6 +10,7 @@ from hil.checks import compatibility
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
 from hil.checks.faults import check_faults, check_sensors
+from hil.checks.floating import check_floating
 from hil.checks.lock_step import check_lock_step
 from hil.checks.observability import check_observability
 from hil.checks.signed_record import check_preflight
@@ -34,6 +35,7 @@ def check(job: Job) -> None:
     """Raise BadInput with every problem of the scenario on the rig."""
     problems = [
         *_found_by_parts("check_run", job),
+        *check_floating(job.scenario, job.rig),
         *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
         *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
         *compatibility.check_scenario_limits(job.scenario, job.rig),

@@ -36,6 +36,7 @@ def python_only(job: Job) -> str:
         "rendered images of a docking monitor with an interlock": scenario.monitor.interlock
         and job.truth.monitor.source == "rendered",
         "shadow filter": scenario.gnc.shadow.enabled,
+        "a floating vehicle": rig.floating is not None,
         "parts of the plant in FMUs": bool(job.truth.models),
         "a target or further bodies on axes": rig.target_axes is not None or bool(rig.held_axes),
         # each cycle could end with an alarm

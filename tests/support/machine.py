@@ -8,7 +8,7 @@ from hil.config.rig import Rig
 from hil.config.tables.machine import NAMES, PARAMETERS
 from hil.core.messages import Array
 from hil.parts.geometry.model import MachineModel, with_noise
-from hil.parts.geometry.observations import Observations
+from hil.parts.geometry.observations import PoseObservations
 
 _M, _DEG = 1e-3, float(np.radians(0.05))
 TRACKER_SIGMA = np.array([1e-4] * 3 + [float(np.radians(0.01))] * 3)
@@ -29,12 +29,12 @@ def twelve_errors(seed: int) -> Array:
     return vector
 
 
-def observed(model: MachineModel, vector: Array, axes: Array, sigma: Array, source: str, seed: int) -> Observations:
+def observed(model: MachineModel, vector: Array, axes: Array, sigma: Array, source: str, seed: int) -> PoseObservations:
     """Return observations at ``axes`` (n, 6) with white noise ``sigma``, (6,) or (n, 6)."""
     n = len(axes)
     sigmas = np.broadcast_to(sigma, (n, 6)).copy()
     value = with_noise(model.observed(vector, axes, source), sigmas, np.random.default_rng(seed))
-    return Observations(np.arange(n), axes, value, sigmas, np.full(n, source))
+    return PoseObservations(np.arange(n), axes, value, sigmas, np.full(n, source))
 
 
 def axes_within(rig: Rig, n: int, seed: int) -> Array:

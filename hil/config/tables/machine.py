@@ -21,7 +21,7 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class MachineGeometry(ConfigModel):
-    """Parameters of the geometry: by how much the bench differs from an ideal one that is built as its rig file says.
+    """Parameters of the geometry: by how much the bench differs from an ideal one with the numbers of its rig file.
 
     Functions of a rail's travel are Legendre polynomials P1, P2, P3, from -1 at its low to 1 at its high end. A rail
     displaces and rotates all that it carries (`bench.rails_order`). Gauge: positions of the rails, and P1 of their
@@ -113,7 +113,7 @@ def parts_of(vector: Array) -> dict[str, Array]:
 class MachineErrors(MachineGeometry):
     """How mock and emulated rigs are built wrong: their encoders read as if they were right.
 
-    Unless set here, they are built as `bench.geometry_file` says. The scenario's errors are added to the rig's.
+    Unless set here, they are built as in `bench.geometry_file`. The scenario's errors are added to the rig's.
     """
 
     seed: Annotated[int, Field(ge=0)] | None = None

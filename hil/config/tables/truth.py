@@ -125,8 +125,8 @@ class SolarArray(ConfigModel):
 class Truth(ModelFmu):
     """Model of relative motion, and a switch or magnitude for each effect."""
 
-    relative_motion: Literal["hill", "nonlinear"] = "nonlinear"
-    """Exact differential gravity, or the linear motion of a circular orbit."""
+    relative_motion: Literal["hill", "nonlinear", "free"] = "nonlinear"
+    """Exact differential gravity, the linear motion of a circular orbit, or none of both: a level floor."""
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8
     """Highest degree of the body's field; 0: point mass."""
     gravity_file: str | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from hil.config.tables.io import Io
 from hil.core.messages import IoInputs, IoOutputs
@@ -25,6 +26,8 @@ class MockIo:
         self.open_interlocks: tuple[str, ...] = ()
         self.brakes_stick = False
         self.local_enable = True
+        self.fire: Callable[[bytes, float], None] = lambda lines, now_s: None
+        """Receives the thruster lines that have power, through the relay's contacts, and bench time."""
         self._reads_local_enable = config.inputs.local_enable is not None
         self._torque_delay_s = config.torque_delay_s
         self._reads_brakes = config.inputs.brakes_closed is not None
@@ -95,4 +98,6 @@ class MockIo:
 
     def _advance(self, now_s: float) -> bool:
         contacts_closed = not (self.pressed or self.open_interlocks)
-        return self._relay.update(now_s, self._pump, self.outputs.enable, contacts_closed, self.local_enable)
+        closed = self._relay.update(now_s, self._pump, self.outputs.enable, contacts_closed, self.local_enable)
+        self.fire(self.outputs.thrusters if closed else b"", now_s)
+        return closed

@@ -21,7 +21,7 @@ from hil.gnc.ready_phase import READY_PARAMS, READY_STATE
 from hil.maths import stack
 from hil.maths.record_view import copy_record
 from hil.models.rotating_frame import TUMBLE, frame_acceleration, tumble_rate
-from hil.params.dynamics import mean_motion
+from hil.params.dynamics import expected_rate
 from hil.params.integrity import integrity
 from hil.params.ready import SETTLED_S, ready_params
 from hil.params.target import known_tumble
@@ -94,7 +94,7 @@ def run_stats_params(scenario: Scenario, rig: Rig | None, settled_s: float) -> n
     params.step_s, params.settled_s = scenario.step_s, settled_s
     params.n_thrusters = len(scenario.chaser.thrusters.position_m)
     params.ready, params.integrity = ready_params(scenario.requirements), integrity(scenario, rig)
-    params.tumble = known_tumble(scenario, mean_motion(scenario.gnc_orbit))
+    params.tumble = known_tumble(scenario, expected_rate(scenario))
     settings = scenario.gnc.guidance
     for k, name in enumerate(settings.sequence):
         params.transfers[k] = settings.phases[name].kind == "transfer"

@@ -22,10 +22,10 @@ from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.gnc_backends.library import binary_digest
 from hil.gnc_backends.shared_library import digest_of
 from hil.maths.random_streams import MixedSeed
-from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.importance_density import LOG_WEIGHT, ImportanceDensity, block_normals
 from hil.parts.campaigns.outcome import failed_row, row_of
+from hil.parts.campaigns.python_cases import case_runner
 from hil.parts.campaigns.sobol_indices import sobol_point
 
 Batch = tuple[int, int]
@@ -108,7 +108,7 @@ class Case:
             raise BadInput.single("campaign", "", text)
         scenario = named(scenario, own)
         self._design = Design(scenario, spec.seed)
-        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s, own)
+        self.runner = case_runner(scenario.value, self._rig, spec.duration_s, own)
         self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:

@@ -24,10 +24,10 @@ from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.parts.campaigns.batch import TRACEBACK, Spec, code_digest
-from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design
 from hil.parts.campaigns.engines import Engine
 from hil.parts.campaigns.explain import explain
+from hil.parts.campaigns.python_cases import case_runner
 from hil.parts.campaigns.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.parts.campaigns.statistics import (
     HasColumns,
@@ -41,7 +41,7 @@ from hil.parts.campaigns.statistics import (
 from hil.parts.campaigns.store import Store, atomic_write
 from hil.session import build
 from hil.session.assembly import Job
-from hil.session.compiled import kernels_are_cached
+from hil.session.compiled import Kernels, kernels_are_cached, runs_compiled
 from hil.session.warm_up import compile_group
 
 RIG: Final = "mock"
@@ -111,6 +111,8 @@ class CampaignJob:
     def _check(self) -> None:
         build.check(self.nominal)
         rig, problems = self._rig.value, check_requirements(self.scenario)
+        if rig.kind != "mock":
+            problems.append(Problem("--rig", rig.name, f'kind "{rig.kind}": campaigns run in memory, allowed "mock"'))
         if rig.target_axes is not None:
             key = "target_manipulator" if rig.moved_target is not None else "rotary_manipulator"
             problems.append(Problem(self._rig.where(key), f"rig.{key}", "not supported by campaigns"))
@@ -158,10 +160,11 @@ class CampaignJob:
     def warm_up(self) -> None:
         """Compile the loop unless it is in the kernel cache."""
         value = self.scenario.value
-        if not kernels_are_cached("loop"):
-            compile_group("loop", Job(self.scenario, self._rig, 0, value.step_s, 1.0))
+        group: Kernels = "loop" if runs_compiled(self.nominal) else "cycle"
+        if not kernels_are_cached(group):
+            compile_group(group, Job(self.scenario, self._rig, 0, value.step_s, 1.0))
         value = value.model_copy(update={"gnc": value.gnc.built_in()})
-        CaseRunner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
+        case_runner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
 
     def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Run the missing ones of ``runs`` cases; return the summary, which is also written to the folder."""

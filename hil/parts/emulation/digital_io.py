@@ -70,7 +70,7 @@ class EmulatedCoupler:
             image.inputs[lines.chain] = closed
             for name, address in lines.interlocks.items():
                 image.inputs[address] = name not in open_now
-        return ChainState(closed, self.relay.torque(now_s), released_brakes)
+        return ChainState(closed, self.relay.torque(now_s), released_brakes, bytes(self.thrusters) if closed else b"")
 
     def respond(self, request: bytes, now_s: float) -> bytes:
         """Return the response (PDU) to a request (PDU)."""

@@ -45,7 +45,8 @@ class EmulatedDevices:
         sensors: Sequence[str] = (),
     ) -> None:
         self.board = SharedAxisState.create()
-        self._write_fixed_axes(rig)
+        if rig.floating is None:  # otherwise the vehicle writes where its axes would stand
+            self._write_fixed_axes(rig)
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),

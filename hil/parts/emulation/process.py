@@ -17,6 +17,7 @@ from hil.core.clock import WallClock, clock_of
 from hil.core.plug_ins import wrong_return
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.setpoint_limiter import compile_profile
+from hil.parts.emulation.digital_io import PublishChain
 from hil.parts.emulation.fault_injection import ControlPort, Faults
 from hil.parts.emulation.shared_state import SharedAxisState
 
@@ -86,7 +87,12 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "arm":
         emulator = table.make_emulator(rig, clock, board, seed=seed)
     elif device == "io":
-        emulator = table.make_emulator(clock, board.write_chain, seed=seed)
+        publish: PublishChain = board.write_chain
+        if rig.floating is not None:
+            from hil.parts.emulation.floating_vehicle import FloatingVehicle
+
+            publish = FloatingVehicle(scenario, rig, seed, board).publish
+        emulator = table.make_emulator(clock, publish, seed=seed)
     elif part:
         from hil.parts.emulation.emulated_cameras import emulated_images
 

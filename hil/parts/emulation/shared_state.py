@@ -25,12 +25,13 @@ class ChainState(NamedTuple):
     """State of the safety chain.
 
     closed: the drives may move; once open they make a quick stop. torque: the relay's delayed contacts, without which
-    a drive has no torque. brakes_released: the holding brakes have current.
+    a drive has no torque. brakes_released: the holding brakes have current. thrusters: lines that have power.
     """
 
     closed: bool = True
     torque: bool = True
     brakes_released: bool = True
+    thrusters: bytes = b""
 
 
 class SharedAxisState:
@@ -84,7 +85,7 @@ class SharedAxisState:
     def write_chain(self, chain: ChainState, t_s: float) -> None:
         """Write the state of the safety chain."""
         record = np.empty(1, _CHAIN)
-        record[0] = chain
+        record[0] = chain[:3]
         self._block["chain"].write(record, t_s)
 
     def read_chain(self, clock: BenchClock) -> ChainState:

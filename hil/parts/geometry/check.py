@@ -26,7 +26,7 @@ from hil.maths import quat
 from hil.maths.chi_square import upper_quantile
 from hil.params.bench_budget import parameter_covariance
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import Observations
+from hil.parts.geometry.observations import PoseObservations
 
 ALARM: Final = 1e-3
 """Probability of a chance result below which the bench has drifted."""
@@ -41,7 +41,7 @@ _FREE: Final = 0.1  # m, rad, 1 sigma of an error that is sought
 
 
 @dataclass(frozen=True)
-class DriftCheck:
+class GeometryDrift:
     """Result. mean: (6,), mean residual, m and rad. cause: what explains a drift best, with its size."""
 
     poses: int
@@ -52,7 +52,7 @@ class DriftCheck:
 
     @property
     def limit(self) -> float:
-        """Value of chi-square that chance exceeds with ALARM."""
+        """Value that chi-square exceeds with the probability ALARM if nothing has changed."""
         return upper_quantile(ALARM, self.dof)
 
     @property
@@ -64,7 +64,7 @@ class DriftCheck:
         return "no drift" if self.passed else self.cause
 
 
-def check(model: MachineModel, observations: Observations) -> DriftCheck:
+def check(model: MachineModel, observations: PoseObservations) -> GeometryDrift:
     """Return the result of the check. Raises BadInput without a geometry file."""
     rig = model.rig
     geometry = geometry_of(rig)
@@ -80,17 +80,17 @@ def check(model: MachineModel, observations: Observations) -> DriftCheck:
     covariance += np.kron(np.ones((len(observations), len(observations))), np.diag(np.square(drift)))
     chi_square = _weighted(covariance, off)
     poses = len(np.unique(observations.pose))
-    result = DriftCheck(poses, chi_square, n, off.mean(axis=0), "")
+    result = GeometryDrift(poses, chi_square, n, off.mean(axis=0), "")
     if result.passed:
         return result
-    return DriftCheck(poses, chi_square, n, off.mean(axis=0), _cause(model, vector, observations, off, covariance))
+    return GeometryDrift(poses, chi_square, n, off.mean(axis=0), _cause(model, vector, observations, off, covariance))
 
 
 def _weighted(covariance: Array, off: Array) -> float:
     return float(off.ravel() @ np.linalg.solve(covariance, off.ravel()))
 
 
-def _cause(model: MachineModel, vector: Array, observations: Observations, off: Array, covariance: Array) -> str:
+def _cause(model: MachineModel, vector: Array, observations: PoseObservations, off: Array, covariance: Array) -> str:
     """Return the cause whose free parameters leave the least chi-square, with a penalty for each of them."""
     weight = np.asarray(np.linalg.inv(covariance), dtype=float)
     n = off.size
@@ -132,13 +132,13 @@ def _explained(weight: Array, slopes: Array, off: Array, text: Callable[[Array],
     return float(rest @ weight @ rest + slopes.shape[1] * np.log(len(y))), text(size)
 
 
-def _swapped(observations: Observations) -> Observations:
+def _swapped(observations: PoseObservations) -> PoseObservations:
     """Return the observations with chaser and target in place of each other."""
     value = observations.value.copy()
     for k in np.flatnonzero(observations.source == "tracker"):
         q = quat.from_rotation_vector(value[k, 3:])
         value[k] = [*-quat.transform(q, value[k, :3]), *-value[k, 3:]]
-    return Observations(observations.pose, observations.axes, value, observations.sigma, observations.source)
+    return PoseObservations(observations.pose, observations.axes, value, observations.sigma, observations.source)
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ def read_chart(path: Path) -> list[ChartRow]:
         raise BadInput.single(str(path), "", f"a number is missing or invalid: {error}") from error
 
 
-def append_to_chart(path: Path, date: str, result: DriftCheck) -> str:
-    """Append ``result``; return what the chart says of it, "" while it has too few checks. Raises BadInput."""
+def append_to_chart(path: Path, date: str, result: GeometryDrift) -> str:
+    """Append ``result``; return its place in the chart, "" while it has too few checks. Raises BadInput."""
     earlier = read_chart(path)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -150,7 +150,7 @@ def measure(
     rig
         mock, emulated, or the path of a rig file.
     out
-        Observations to write, *.csv.
+        PoseObservations to write, *.csv.
     seed
         Seed of the noise.
     scenario

@@ -14,7 +14,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths.chi_square import upper_quantile
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import Observations
+from hil.parts.geometry.observations import PoseObservations
 
 UNIT: Final = 1e-3
 """m and rad: parameters and combinations of them that are known less well than this are not observable."""
@@ -91,8 +91,8 @@ class Fitted:
         if share[k] > 1.0:
             text = _text(self.whole[k], bool(ROTATIONS[k]))
             return (
-                f"{NAMES[k]} is {text}, allowed {_text(largest[k], bool(ROTATIONS[k]))}: the bench is not built as its "
-                "rig file says: correct arms and mountings in table [bench], and fit again"
+                f"{NAMES[k]} is {text}, allowed {_text(largest[k], bool(ROTATIONS[k]))}: the rig file describes "
+                "another bench: correct arms and mountings in table [bench], and fit again"
             )
         return ""
 
@@ -101,7 +101,7 @@ def _text(value: float, is_rotation: bool) -> str:
     return f"{np.degrees(value):.3g} deg" if is_rotation else f"{1e3 * value:.3g} mm"
 
 
-def fit(model: MachineModel, observations: Observations) -> Fitted:
+def fit(model: MachineModel, observations: PoseObservations) -> Fitted:
     """Return the parameters by least squares. Raises BadInput for too few poses."""
     poses = np.unique(observations.pose)
     held_out = np.isin(observations.pose, poses[_HELD_OUT - 1 :: _HELD_OUT])
@@ -149,7 +149,7 @@ _PARTS: Final = (slice(0, 3), slice(3, 6))
 
 
 def _solved(
-    model: MachineModel, observations: Observations, used: np.ndarray, vector: Array, robust: bool
+    model: MachineModel, observations: PoseObservations, used: np.ndarray, vector: Array, robust: bool
 ) -> tuple[Array, Array, Array, Array]:
     """Return the solution of least norm from ``vector`` on, singular values and right vectors of the slopes in UNIT
     over sigma, and the weighted squares of all observations."""
@@ -173,7 +173,7 @@ def _solved(
     return vector, singular, right, chi
 
 
-def geometry_file(model: MachineModel, fitted: Fitted, observations: Observations, date: str) -> BenchGeometryFile:
+def geometry_file(model: MachineModel, fitted: Fitted, observations: PoseObservations, date: str) -> BenchGeometryFile:
     """Return the content of the geometry file."""
     numbers = np.flatnonzero(fitted.observed)
     lower = [[float(f"{fitted.covariance[i, j]:.6e}") for j in numbers[: k + 1]] for k, i in enumerate(numbers)]

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil.config.bench_geometry import built
+from hil.config.bench_geometry import errors_as_built
 from hil.config.tables.machine import PARAMETERS
 from hil.core import alarm_table as table
 from hil.core.messages import Array
@@ -23,13 +23,13 @@ from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.params import bench as bench_params
 from hil.parts.geometry.model import MachineModel, with_noise
-from hil.parts.geometry.observations import Observations, joined
+from hil.parts.geometry.observations import PoseObservations, joined
 from hil.parts.vision.view_plan import Clearance, IsClear, axes_record
 from hil.session import build
 from hil.session.build import Job
 from hil.session.pose_model import PoseSensor, make_pose_sensor
 
-CLEARANCE_M: Final = 0.1  # beyond the guard volume
+CLEARANCE_M: Final = 0.15  # beyond the guard volume
 _SETTLE_S: Final = 0.5  # at rest, before the first sample
 
 OnProgress = Callable[[str, float], None]
@@ -131,10 +131,10 @@ class GeometryDrive:
         self._axes: list[Array] = []
         self._series: list[_Series] = []
 
-    def observe(self, plan: Array) -> Observations:
+    def observe(self, plan: Array) -> PoseObservations:
         """Return the observations at ``plan`` (n, 6), rails, m, gimbals, rad, in that order."""
         self._sequencer.home()
-        rows: list[Observations] = []
+        rows: list[PoseObservations] = []
         for k, axes in enumerate(plan):
             self._on_progress(f"pose {k + 1} of {len(plan)}", k / len(plan))
             if not self._is_clear(self._position(), axes):
@@ -160,13 +160,13 @@ class GeometryDrive:
                 series.sigmas.append(series.observer.sigma)
         return rest_s >= self._average_s
 
-    def _rows(self, number: int) -> Iterator[Observations]:
+    def _rows(self, number: int) -> Iterator[PoseObservations]:
         axes = np.mean(self._axes, axis=0)
         for series in self._series:
             if series.poses:
                 mean, sigma = series.mean()
                 source = np.array([series.observer.source])
-                yield Observations(np.array([number]), axes[None], mean[None], sigma[None], source)
+                yield PoseObservations(np.array([number]), axes[None], mean[None], sigma[None], source)
 
     def _position(self) -> Array:
         feedback = self._sequencer.loop.now.feedback
@@ -177,7 +177,7 @@ def clearance(job: Job) -> Clearance:
     """Return the guard volume of ``job`` for moves outside a run."""
     rig, scenario = job.rig.value, job.scenario.value
     bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-    return Clearance(bench, bench_params.axis_guard(rig, scenario), CLEARANCE_M)
+    return Clearance(bench, bench_params.axis_guard(rig, scenario), CLEARANCE_M, brakes=True)
 
 
 @contextmanager
@@ -210,11 +210,11 @@ def measure(
     average_s: float,
     on_progress: OnProgress,
     announce: Callable[[str], None],
-) -> Observations:
+) -> PoseObservations:
     """Return the observations of a mock or emulated rig at ``plan`` (n, 6). Raises BadInput, BenchError."""
     rig, truth = job.rig.value, job.truth
     with opened(job, announce) as (runner, true_axes), runner.axes_only() as sequencer:
-        vector = built(rig, truth.bench.errors)
+        vector = errors_as_built(rig, truth.bench.errors)
         observers: list[PoseObserver] = []
         if "tracker" in sources:
             known = np.zeros(PARAMETERS) if vector is None else vector

@@ -1,4 +1,4 @@
-"""Observations that a machine with given parameters predicts, and their slopes by the parameters."""
+"""PoseObservations that a machine with given parameters predicts, and their slopes by the parameters."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _PROBLEMS_MAX: Final = 5
 
 
 @dataclass(frozen=True)
-class Observations:
+class PoseObservations:
     """n observations. pose: (n,), number of the place. axes: (n, 6), encoders, m and rad. value: (n, 6), position, m,
     and rotation vector, rad. sigma: (n, 6). source: of each."""
 
@@ -45,17 +45,17 @@ class Observations:
     def __len__(self) -> int:
         return len(self.pose)
 
-    def of(self, chosen: np.ndarray) -> Observations:
+    def of(self, chosen: np.ndarray) -> PoseObservations:
         """Return those that are ``chosen``, a mask or numbers."""
-        return Observations(*(each[chosen] for each in (self.pose, self.axes, self.value, self.sigma, self.source)))
+        return PoseObservations(*(each[chosen] for each in (self.pose, self.axes, self.value, self.sigma, self.source)))
 
 
-def joined(rows: list[Observations]) -> Observations:
+def joined(rows: list[PoseObservations]) -> PoseObservations:
     """Return all of ``rows``."""
-    return Observations(*(np.concatenate(each) for each in zip(*(vars(row).values() for row in rows), strict=True)))
+    return PoseObservations(*(np.concatenate(each) for each in zip(*(vars(row).values() for row in rows), strict=True)))
 
 
-def write_observations(observations: Observations, path: str) -> None:
+def write_observations(observations: PoseObservations, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -67,7 +67,7 @@ def write_observations(observations: Observations, path: str) -> None:
     write_text(text.getvalue(), path)
 
 
-def read_observations(path: str) -> Observations:
+def read_observations(path: str) -> PoseObservations:
     """Return the observations of a CSV file; raise BadInput."""
     rows = list(_rows(path))
     problems: list[Problem] = []
@@ -87,7 +87,7 @@ def read_observations(path: str) -> Observations:
     axes, value, sigma = np.split(np.array(values), 3, axis=1)
     pose = np.array([row["pose"] for _, row in rows])
     numbers_of = {name: number for number, name in enumerate(dict.fromkeys(pose.tolist()))}
-    return Observations(
+    return PoseObservations(
         np.array([numbers_of[name] for name in pose.tolist()]),
         axes,
         value,

@@ -42,11 +42,12 @@ class PlanRequest:
 class Clearance:
     """Guard volume of the bench for moves outside a run.
 
-    bench: BENCH_PARAMS. guard: GUARD. margin_m: by which its distances are larger.
+    bench: BENCH_PARAMS. guard: GUARD. margin_m: by which its distances are larger. brakes: whether the axes must also
+    be able to brake before it at each position of a move.
     """
 
-    def __init__(self, bench: np.record, guard: np.record, margin_m: float) -> None:
-        self._bench = bench
+    def __init__(self, bench: np.record, guard: np.record, margin_m: float, brakes: bool = False) -> None:
+        self._bench, self._brakes = bench, brakes
         self._guard = guard.copy()
         self._guard.zone.radius += margin_m
         self._guard.zone.plane += margin_m
@@ -60,6 +61,8 @@ class Clearance:
         for t_s in np.linspace(0.0, move.duration_s, _SAMPLES):
             move.at(t_s, axes)
             if self._volume.check_position(axes) is not None:
+                return False
+            if self._brakes and self._volume.check_motion(axes) is not None:
                 return False
         return True
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.bench_geometry import believed, built
+from hil.config.bench_geometry import errors_as_built, measured_errors
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.machine import parts_of
@@ -51,12 +51,12 @@ def _errors(scenario: Scenario, seed: int) -> np.record:
 
 def mounting(rig: Rig) -> np.record:
     """Return MOUNTING: camera on the chaser, LED ring on the target, as far as they are known."""
-    return mounting_of(rig, believed(rig))
+    return mounting_of(rig, measured_errors(rig))
 
 
 def mounting_as_built(rig: Rig, scenario: Scenario) -> np.record:
     """Return MOUNTING of mock and emulated rigs: ``mounting`` unless they have errors. scenario: of the truth."""
-    return mounting_of(rig, built(rig, scenario.bench.errors))
+    return mounting_of(rig, errors_as_built(rig, scenario.bench.errors))
 
 
 def mounting_of(rig: Rig, vector: Array | None) -> np.record:

@@ -13,10 +13,10 @@ from hil.config.rig import Rig
 from hil.config.tables.machine import NAMES
 from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.parts.geometry.check import DriftCheck, append_to_chart, check
+from hil.parts.geometry.check import GeometryDrift, append_to_chart, check
 from hil.parts.geometry.fit import fit, geometry_file
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import Observations
+from hil.parts.geometry.observations import PoseObservations
 from hil.vmu.calibration.files import as_toml
 from tests.support.machine import TRACKER_SIGMA, axes_within, observed, twelve_errors
 
@@ -41,12 +41,12 @@ def rig(tmp_path: Path) -> Rig:
     return load_rig("mock", [f"rig.bench.geometry_file={path}"]).value
 
 
-def checked(rig: Rig, vector: Array = VECTOR, seed: int = 0, shift: Array | None = None) -> DriftCheck:
+def checked(rig: Rig, vector: Array = VECTOR, seed: int = 0, shift: Array | None = None) -> GeometryDrift:
     """Return the check of a dozen poses of a machine with ``vector``, whose axes stand ``shift`` (6,) off."""
     axes, model = axes_within(rig, 12, 50 + seed), MachineModel(rig)
     there = axes if shift is None else axes + shift
     taken = observed(model, vector, there, TRACKER_SIGMA, "tracker", seed)
-    return check(model, Observations(taken.pose, axes, taken.value, taken.sigma, taken.source))
+    return check(model, PoseObservations(taken.pose, axes, taken.value, taken.sigma, taken.source))
 
 
 def test_a_bench_that_has_not_changed_passes(rig: Rig) -> None:

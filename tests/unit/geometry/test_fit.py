@@ -13,7 +13,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.parts.geometry.fit import Fitted, Limits, fit, geometry_file
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import Observations, joined
+from hil.parts.geometry.observations import PoseObservations, joined
 from tests.support.machine import TRACKER_SIGMA, TWELVE, axes_within, observed, twelve_errors
 
 RIG = load_rig("mock").value
@@ -27,7 +27,7 @@ def places() -> Array:
     return axes_within(RIG, POSES, 11)
 
 
-def by_tracker(seed: int) -> tuple[Observations, Array]:
+def by_tracker(seed: int) -> tuple[PoseObservations, Array]:
     vector = twelve_errors(seed)
     return observed(MODEL, vector, places(), TRACKER_SIGMA, "tracker", seed), vector
 
@@ -79,7 +79,7 @@ def test_a_tracker_observes_all_but_camera_and_ring() -> None:
     assert fitted.problem(Limits()) == ""
 
 
-def by_vision(seed: int) -> tuple[Observations, Array]:
+def by_vision(seed: int) -> tuple[PoseObservations, Array]:
     vector, axes = twelve_errors(seed), places().copy()
     axes[:, 3:] *= 0.6
     return observed(MODEL, vector, axes, VISION_SIGMA, "vmu", seed), vector

@@ -66,6 +66,7 @@ class CampaignRequest:
     method: str = "subset"
     sobol: int | None = None
     backends: BackendArguments = field(default_factory=BackendArguments)
+    rig: str = RIG
     figures: bool = False
     """Draw the figures of each campaign, which take a second."""
 
@@ -142,7 +143,9 @@ class CampaignRequest:
         keys = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
         try:
             return [
-                CampaignJob.of(job_of(each, RIG, (*self.settings, *more), self.seed, self.duration_s, **self.backends))
+                CampaignJob.of(
+                    job_of(each, self.rig, (*self.settings, *more), self.seed, self.duration_s, **self.backends)
+                )
                 for each in scenarios
                 for more in keys
             ]

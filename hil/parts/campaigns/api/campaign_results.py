@@ -15,7 +15,7 @@ from hil.core.messages import Array
 from hil.core.public import public
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
-from hil.parts.campaigns.campaign import RIG, Sweep, campaign_digest, sweep_summary
+from hil.parts.campaigns.campaign import Sweep, campaign_digest, sweep_summary
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.sobol_indices import sobol_point
 from hil.parts.campaigns.statistics import compare as compare_columns
@@ -127,7 +127,7 @@ class Campaign:
             raise BadInput.single("case", "", f"{case!r:.60}: must be 0 to {len(self.cases) - 1}")
         job = job_of_case(self.job, case)
         compile_kernels(job, log.warning)
-        return run_or_raise(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
+        return run_or_raise(RunRequest(job, job.rig.value.name, more={"campaign_seed": self.job.seed, "case": case}))
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of the cases, indexed by their number. Raises BadInput without pandas."""
@@ -185,7 +185,7 @@ class StudyResults:
             raise BadInput.single("case", "", "the study has no folder: give out")
         job, campaign_seed, _ = job_of_stored_case(self.job, self.folder, case)
         compile_kernels(job, log.warning)
-        return run_job(RunRequest(job, RIG, more={"campaign_seed": campaign_seed, "case": case}))
+        return run_job(RunRequest(job, job.rig.value.name, more={"campaign_seed": campaign_seed, "case": case}))
 
     def __repr__(self) -> str:
         number = 0 if self.cases is None else len(self.cases)

@@ -36,12 +36,14 @@ class EngineOptions:
 
 @dataclass(frozen=True)
 class VariationOptions:
-    """Options of a second scenario or a sweep."""
+    """Options of the rig, of a second scenario or a sweep."""
 
     against: str | None = None
     """A second scenario, run with the same seeds: differences with confidence intervals."""
     sweep: str | None = None
     """key=low:high:n, as gnc.control.deadband_m=0.002:0.02:10: one campaign per value."""
+    rig: str = "mock"
+    """Rig in memory: mock, mock-planar, mock-floating, or the path of a rig file."""
 
 
 @dataclass(frozen=True)

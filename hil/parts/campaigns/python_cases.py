@@ -1,0 +1,74 @@
+"""Runner of a campaign's cases that the compiled loop does not run, as those of a floating vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.load import Loaded
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
+from hil.core.clock import SimulatedClock
+from hil.errors import BadInput
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS
+from hil.loop.compiled import run_cycles as shell
+from hil.loop.compiled.run_stats import count_rows, new_run_stats, run_stats_params
+from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.runner import COMPLETED
+from hil.loop.session_parts import SessionParts
+from hil.params import integrity as integrity_params
+from hil.params.ready import settled_s
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.report.verdict_parts import FieldOfView
+from hil.session import build
+from hil.session.assembly import Job
+
+
+class PythonCaseRunner:
+    """Runs cases of one scenario on one mock rig by the cycle in Python; otherwise as ``CaseRunner``."""
+
+    user_error: BaseException | None = None
+
+    def __init__(self, scenario: Scenario, rig: Rig, duration_s: float, own: OwnBackends = NO_BACKENDS) -> None:
+        self.scenario, self.rig, self._duration_s, self._own = scenario, rig, duration_s, own
+        self.alarm: Alarm | None = None
+        """Alarm that ended the last case."""
+
+    def set_gnc_scenario(self, scenario: Scenario) -> None:
+        """Set the scenario of the GNC."""
+        self.scenario = scenario
+
+    def run(self, truth: Scenario, seed: int) -> tuple[np.record, str]:
+        """Run one case; return its RUN_STATS and why it ended. truth: see ``CaseRunner.run``."""
+        stats, view = new_run_stats(), FieldOfView(truth, self.rig)
+        params = run_stats_params(self.scenario, self.rig, settled_s(self._duration_s))
+        integrity_params.set_faults(params.integrity, truth.faults)
+
+        def count(rows: np.ndarray) -> np.ndarray:
+            count_rows(params, stats, rows.view(np.ndarray))
+            view.add(rows)
+            return rows
+
+        loaded = Loaded(self.scenario, "campaign", {}), Loaded(self.rig, "campaign", {})
+        job = Job(*loaded, seed, self._duration_s, 1.0, dispersed=truth, own=self._own)
+        rate = SimulatedRate(SimulatedClock(), job.tick_s)
+        outcome = build.in_memory(job, rate, SessionParts(on_full=count)).run()
+        if len(outcome.history):
+            count(outcome.history)
+            seen = view.part()
+            stats.view_margin, stats.view_margin_s = seen.margin_px or 0.0, seen.at_s or 0.0
+        self.alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
+        stats.ended = shell.COMPLETED if outcome.stop == COMPLETED else shell.VISION_SILENT
+        return stats, outcome.stop
+
+    def noise(self) -> dict[str, tuple[np.ndarray, float]]:
+        """Raise BadInput: the likelihood of a case is that of the compiled loop's noise."""
+        raise BadInput.single(self.rig.name, "rig.floating", "rare events are not supported with a floating vehicle")
+
+
+def case_runner(
+    scenario: Scenario, rig: Rig, duration_s: float, own: OwnBackends = NO_BACKENDS
+) -> CaseRunner | PythonCaseRunner:
+    """Return what runs the cases of ``scenario`` on ``rig``."""
+    return (CaseRunner if rig.floating is None else PythonCaseRunner)(scenario, rig, duration_s, own)
