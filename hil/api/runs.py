@@ -215,6 +215,8 @@ def judged_run(
     rate_hz = 1.0 / scenario.step_s
     summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
     summary |= {result.table: result.numbers for result in results}
+    if reasons := [result.withheld for result in results if result.withheld]:
+        summary |= {"accepted": False, "withheld": "; ".join(reasons)}
     rows = {name: rows for result in results for name, rows in result.rows.items()}
     judged = run_of(job, rig, outcome, summary, rows)
     judged.verdict = verdict

@@ -16,7 +16,7 @@ from hil.core.part import commands_of, declared, parts
 from hil.core.surroundings import temporary_folder_in
 from hil.errors import BadInput
 
-_PART: Final = "tracker"
+_PART: Final = "ranging"
 _DRIVER: Final = "acme"
 """Names of part and driver in their templates."""
 _EXAMPLES: Final = {"gnc/law.py": "lqr.py", "gnc/observer.c": "observer.c"}

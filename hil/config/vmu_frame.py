@@ -122,8 +122,9 @@ class VmuFrame(ConfigModel):
     """Fields in their order."""
     checksum: FrameChecksum
     """Of text frames `none`, or `xor8` of all before `*` and two hexadecimal digits."""
-    rotation: Literal["t_to_v", "v_to_t"]
-    """Rotation that quaternion or Euler angles stand for, active, by Hamilton's convention: R, or its inverse."""
+    rotation: Literal["t_to_v", "v_to_t", "none"]
+    """Rotation that quaternion or Euler angles stand for, active, by Hamilton's convention: R, or its inverse; `none`:
+    frames of points, which have no attitude."""
     quaternion_order: Literal["xyzw", "wxyz"] = "xyzw"
     """Scalar last or first."""
     euler_sequence: Annotated[str, Field(pattern=r"^([XYZ]{3}|[xyz]{3})$")] = "ZYX"
@@ -159,13 +160,16 @@ class VmuFrame(ConfigModel):
         missing = [name for name in REQUIRED if name not in names]
         if missing:
             raise ValueError(f"fields: {', '.join(missing)}: missing")
-        if ("quaternion" in names) == ("euler" in names):
-            raise ValueError("fields: the attitude must be a quaternion or euler, one of them")
+        attitudes = [name for name in ("quaternion", "euler") if name in names]
+        if len(attitudes) != (self.rotation != "none"):
+            text = "a quaternion or euler, one of them" if self.rotation != "none" else 'left out: rotation is "none"'
+            raise ValueError(f"fields: the attitude must be {text}")
         if "covariance" in names and {"sigma_position", "sigma_angle"} & set(names):
             raise ValueError("fields: covariance and sigmas are redundant, give one of them")
         for name in ("sigma_position", "sigma_angle"):
             key = f"{name}_{'m' if name == 'sigma_position' else 'deg'}"
-            if "covariance" not in names and name not in names and getattr(self, key) is None:
+            needed = name == "sigma_position" or self.rotation != "none"
+            if needed and "covariance" not in names and name not in names and getattr(self, key) is None:
                 raise ValueError(f"{key}: is missing: the frame has neither {name} nor covariance")
         if len(set(self.euler_sequence)) == 2 and self.euler_sequence[0] != self.euler_sequence[2]:
             raise ValueError(f"euler_sequence {self.euler_sequence}: neighbouring axes must differ")

@@ -71,6 +71,8 @@ DISTANCE_FROM_DEMAND = AlarmKind("distance from the demand", "an axis", "H-08", 
 POSE_AGAINST_ENCODERS = AlarmKind("pose against encoders, {}", "vmu", "H-13", code="pose_against_encoders", **_GUARD)
 ATTITUDE_AGAINST_ENCODERS = AlarmKind("pose against encoders, about {}", "vmu", "H-13",
                                       code="attitude_against_encoders", **_GUARD_RAD)
+BENCH_AGAINST_TRACKER = AlarmKind("bench against tracker", "tracker", "H-30", value="off by {}", priority=MEDIUM,
+                                  **_POSE)
 DRIFT_CHECK = AlarmKind("drift check against {}:", "vmu", "H-13", code="drift_check")
 # operator
 OPERATORS_PAGE = AlarmKind("operator's page", "console", "H-17", "s", "silent for {}", _SILENCE, (1, 1))

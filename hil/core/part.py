@@ -6,7 +6,7 @@ place where every part may add something, as the checks of a job. Parts of this 
 those of other packages are found by entry points of the group ``hil.parts``, named as the part:
 
     [project.entry-points."hil.parts"]
-    tracker = "acme_tracker.part:PART"
+    robot = "acme_robot.part:PART"
 
 A declaration names functions by their import paths, ``module:function``. A module is imported when its function is
 called, so that a session loads those parts alone that its scenario and rig use.
@@ -73,6 +73,10 @@ class Part:
     """Return the problems of a scenario and a rig, as loaded, that prevent any motion, or the run."""
     attach: str = ""
     """Returns the context in which the part of a session acts, for a ``Job`` and the ``SessionParts`` to add to."""
+    each_cycle: bool = False
+    """Whether it checks each cycle of a run, as it ends: the compiled loop hands its rows over many cycles later."""
+    preflight: str = ""
+    """Returns the ``PreflightCheck``s of its devices, for a rig whose wires have addresses."""
     attachments: str = ""
     """Returns texts for a recording by their names, for a scenario and a rig."""
     sinks: Mapping[str, PartSink] = field(default_factory=dict)

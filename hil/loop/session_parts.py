@@ -31,11 +31,15 @@ class RunSinks(Protocol):
 
 
 class PartResult(NamedTuple):
-    """Result of a part of a run. table: of the summary, with ``numbers``. rows: by the names of the part's sinks."""
+    """Result of a part of a run. table: of the summary, with ``numbers``. rows: by the names of the part's sinks.
+
+    withheld: why the run has no verdict, "" if the part has no reason.
+    """
 
     table: str
     numbers: dict[str, Any]
     rows: Mapping[str, np.ndarray]
+    withheld: str = ""
 
 
 @dataclass

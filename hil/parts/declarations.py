@@ -339,6 +339,19 @@ EXPORT: Final = Part(
     provides={"table of cycles": "hil.parts.export.table:write_cycles"},
 )
 
+TRACKER: Final = Part(
+    name="tracker",
+    summary="Motion capture or laser tracker that checks the bench during a run: NatNet, Qualisys RT, frames of text.",
+    tables={"rig.tracker": "hil.parts.tracker.table:Tracker"},
+    check_run="hil.parts.tracker.session:check_run",
+    attach="hil.parts.tracker.session:attach",
+    each_cycle=True,
+    preflight="hil.parts.tracker.preflight:checks",
+    sinks={"tracker_samples": PartSink(1024, "/tracker", "hil.TrackerSample", "hil.parts.tracker.rows:SAMPLE_FIELDS")},
+    sections={"bench_truth": "hil.parts.tracker.results:section"},
+)
+
 PARTS: Final = (
     CORE, VISION, CAMPAIGNS, WIRES, MONITOR, CONSOLE, EMULATION, CAMERAS, LINKS, FMI, COMMISSIONING, GEOMETRY, EXPORT,
+    TRACKER,
 )  # fmt: skip

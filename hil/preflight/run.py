@@ -15,7 +15,7 @@ from hil.checks.unseen import unseen_warnings
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.part import provided
+from hil.core.part import hooks, provided
 from hil.preflight import lateness
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.host import HostFacts, host_checks, probe_host
@@ -99,7 +99,8 @@ def device_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Pre
     then hold their positions.
     """
     if rig.kind == "mock":
-        return [PreflightCheck("devices", None, "in memory: no links, no devices")]
+        in_memory = PreflightCheck("devices", None, "in memory: no links, no devices")
+        return [in_memory, *(each for check in hooks("preflight", scenario, rig) for each in check(rig))]
     checks: list[PreflightCheck] = provided(f"rig.kind={rig.kind}: preflight", rig.name)(scenario, rig, enable_drives)
     return checks
 

@@ -72,7 +72,8 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     if not alone:
         yield html.heading(1, run.name)
     accepted = results.accepted
-    text = f"PASS {results.not_required_text()}".rstrip() if accepted else "FAIL"
+    failed = f"NO VERDICT: {results.withheld}" if results.withheld else "FAIL"
+    text = f"PASS {results.not_required_text()}".rstrip() if accepted else failed
     yield html.paragraph(text, f"verdict {'pass' if accepted else 'fail'}")
     yield html.paragraph(
         f"{recorded.run['run']}, started {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "

@@ -318,6 +318,7 @@ class RunResults(Results):
     seed: int = row("seed")
     rig: str = row("rig")
     accepted: bool = row("[verdict](../../explanation/approach.md#verdict) of the last line and the exit code")
+    withheld: str | None = row("why there is no verdict: the bench was not what its encoders showed; null with one")
     required_parts: list[str] = row("parts that the scenario requires")
     passed: bool = row("completed, not aborted, and Table III")
     passed_all_parts: bool = row("the same with all parts, required or not")

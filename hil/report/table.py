@@ -46,7 +46,7 @@ def render(
             console.print(Padding(Text(meaning, style="dim"), (0, 0, 0, _INDENT)))
     print_sign_off(run.sign_off, console)
     print_waived(run.waived, console)
-    word = "[bold green]PASS[/]" if run.accepted else "[bold red]FAIL[/]"
+    word = "[bold green]PASS[/]" if run.accepted else f"[bold red]{'NO VERDICT' if run.withheld else 'FAIL'}[/]"
     beside = run.not_required_text() if run.accepted else f"({_reason(run, verdict)})"
     weak = len(run.waived)
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
@@ -326,6 +326,8 @@ def _drift_text(drift: dict[str, Any]) -> str:
 
 def _reason(run: RunResults, verdict: Verdict) -> str:
     """Return why a run is not accepted: of several reasons the first in time."""
+    if run.withheld:
+        return run.withheld
     if run.faults:
         return "safe stop"
     if run.verdict.security.abort is not None:

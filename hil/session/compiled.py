@@ -7,6 +7,7 @@ from typing import Literal
 from hil.core.jit import processor
 from hil.core.kernel_digest import digest_of
 from hil.core.kernel_folder import read_kernel_file, remove_unused_kernels, write_kernel_file
+from hil.core.part import used_parts
 from hil.drivers.io.mock import MockIo
 from hil.gnc_backends.open_backends import CompiledGnc
 from hil.loop.compiled.cycles import CompiledCycles, MockSources
@@ -39,6 +40,7 @@ def python_only(job: Job) -> str:
         "a floating vehicle": rig.floating is not None,
         "parts of the plant in FMUs": bool(job.truth.models),
         "a target or further bodies on axes": rig.target_axes is not None or bool(rig.held_axes),
+        "a part that checks each cycle": any(each.part.each_cycle for each in used_parts(scenario, rig)),
         # each cycle could end with an alarm
         "setpoints that expire within two cycles": rig.safety.command_age_max_s < 2.0 * scenario.step_s,
     }

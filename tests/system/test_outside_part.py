@@ -19,21 +19,21 @@ from tests.support import commands, example_driver
 from tests.support.commands import Done
 
 WRONG = {
-    "[tracker]\nrate_hz = 0.0\n": "tracker.rate_hz: 0.0: must be greater than 0",
-    '[tracker]\nrate_hz = "5"\n': 'tracker.rate_hz: "5": must be a valid number',
-    "[tracker]\nrate = 5.0\n": "tracker.rate: unknown key: the unit is part of the name, here it is rate_hz",
-    "tracker = 5\n": "tracker: 5: must be an object",
+    "[ranging]\nrate_hz = 0.0\n": "ranging.rate_hz: 0.0: must be greater than 0",
+    '[ranging]\nrate_hz = "5"\n': 'ranging.rate_hz: "5": must be a valid number',
+    "[ranging]\nrate = 5.0\n": "ranging.rate: unknown key: the unit is part of the name, here it is rate_hz",
+    "ranging = 5\n": "ranging: 5: must be an object",
 }
 """Text of a scenario -> the line that refuses it, after the name of the file."""
-TABLE = "[tracker]\nrate_hz = 5.0\n"
+TABLE = "[ranging]\nrate_hz = 5.0\n"
 SHORT = ("--runs", "2", "--duration", "4", "--workers", "1")
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the package that ``hil init --part`` writes."""
-    folder = tmp_path_factory.mktemp("packages") / "tracker"
-    assert execute(["init", "--part", "tracker", str(folder)]) == 0
+    folder = tmp_path_factory.mktemp("packages") / "ranging"
+    assert execute(["init", "--part", "ranging", str(folder)]) == 0
     return folder
 
 
@@ -60,7 +60,7 @@ def flown(site: Path, folder: Path) -> list[Done]:
         site,
         [
             ("list", "parts", "--json", "-"),
-            ("keys", "tracker", "--json", "-"),
+            ("keys", "ranging", "--json", "-"),
             ("run", own, "--duration", "4", "--record", folder, "--json", out),
             ("campaign", own, *SHORT, "--out", folder / "campaign"),
             ("campaign", "scheme-1", *SHORT, "--out", folder / "plain"),
@@ -101,28 +101,28 @@ def test_test_of_the_written_package_passes_unchanged(package: Path, site: Path)
 
 def test_part_is_listed_with_its_command_and_its_keys(flown: Sequence[Done]) -> None:
     parts = {each["name"]: each for each in json.loads(flown[0].out)["parts"]}
-    assert parts["tracker"] == {
-        "name": "tracker",
+    assert parts["ranging"] == {
+        "name": "ranging",
         "version": "0.1.0",
-        "origin": "hil-tracker",
-        "commands": ["tracker"],
-        "tables": ["tracker"],
+        "origin": "hil-ranging",
+        "commands": ["ranging"],
+        "tables": ["ranging"],
     }
     rate, longest = json.loads(flown[1].out)["keys"]
     assert (rate["key"], rate["unit"], rate["allowed"], rate["default"]) == (
-        "tracker.rate_hz",
+        "ranging.rate_hz",
         "Hz",
         "above 0 to 1000",
         "`10.0`",
     )
     assert rate["meaning"] == "Samples per second, at most one per cycle."
-    assert longest["key"] == "tracker.range_max_m"
+    assert longest["key"] == "ranging.range_max_m"
 
 
 def test_run_has_section_numbers_and_rows(flown: Sequence[Done], folder: Path) -> None:
     assert flown[2].code == 1, flown[2].err  # too short for the ready phase
-    assert "Tracker     samples  last, m" in flown[2].out
-    assert json.loads((folder / "run.json").read_text())["tracker"]["samples"] == 21
+    assert "Ranging     samples  last, m" in flown[2].out
+    assert json.loads((folder / "run.json").read_text())["ranging"]["samples"] == 21
 
 
 @pytest.mark.parametrize("number", range(len(WRONG)))
@@ -141,7 +141,7 @@ def test_scenario_with_a_table_of_an_absent_part_is_not_run(
     done = without[command]
     (line,) = done.err.splitlines()
     assert done.code == 2
-    assert line.startswith(f"{folder / 'own0.toml'}: tracker: unknown key: ")
+    assert line.startswith(f"{folder / 'own0.toml'}: ranging: unknown key: ")
     assert line.endswith("or the table of a part that is not installed, see hil list parts")
 
 
@@ -150,12 +150,12 @@ def test_recording_of_an_absent_part_is_read_with_one_line(command: str, without
     done = without[command]
     (line,) = done.err.splitlines()
     assert done.code == 0
-    assert line.endswith("part tracker of package hil-tracker 0.1.0 is not installed: its rows and tables are not read")
+    assert line.endswith("part ranging of package hil-ranging 0.1.0 is not installed: its rows and tables are not read")
 
 
 def test_rows_of_an_absent_part_are_exported_by_their_schema(without: dict[str, Done], folder: Path) -> None:
     assert (without["export"].code, without["export"].err) == (0, "")
-    head, *rows = (folder / "run-tracker.csv").read_text().splitlines()
+    head, *rows = (folder / "run-ranging.csv").read_text().splitlines()
     assert (head, len(rows)) == ("t_s,range_m", 21)
     assert (without["verify"].code, without["verify"].err) == (0, "")
 

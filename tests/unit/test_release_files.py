@@ -35,9 +35,9 @@ BY_THE_WALL_CLOCK = {
         test_console_network test_console_page test_console_strangers test_fault_matrix test_foxglove
         test_halt_from_page test_identify_command test_network_of_page test_page_widths
     """,
-    "processes of cameras, of the vision unit or of the docking monitor run at their own pace": """
+    "processes of cameras, trackers, the vision unit or the docking monitor run at their own pace": """
         test_calibrate_command test_cameras_in_the_loop test_images_on_wires test_live_monitor
-        test_monitor_beside
+        test_monitor_beside test_tracker_links
     """,
 }
 """Modules with tests of the marker ``wires``, by the reason; all others are in lock-step or in simulated time."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.config.load import load_frame
 from hil.config.vmu_frame import FrameField, VmuFrame
-from hil.core.messages import POSITION_ONLY, Array, PoseFrame
+from hil.core.messages import POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, Array, PoseFrame
 from hil.drivers.checksums import crc16_ccitt, crc16_modbus, sum8, xor8
 from hil.drivers.vmu.codec import STATUS_GOOD, STATUS_NO_POSE, Decoded, ReportedIdentity, checked_pose
 from hil.maths import elementary, linear, quat
@@ -225,13 +225,16 @@ class FrameDecoder:
             return None
         leds = [int(values[name][0]) if name in values else 0 for name in ("leds_left", "leds_right")]
         covariance = self._covariance(values)
-        quality = STATUS_GOOD if status == frame.status.good else POSITION_ONLY
+        is_pose = status == frame.status.good and frame.rotation != "none"
+        quality = STATUS_GOOD if is_pose else POSITION_ONLY
         pose = PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], quality)
         return checked_pose(pose, self._by_camera)
 
     def _quaternion(self, values: dict[str, Array]) -> Array | None:
-        """Return q_vt (4,), None if the numbers are no rotation."""
+        """Return q_vt (4,), None if the numbers are no rotation; of a point that of no rotation."""
         frame = self._frames.frame
+        if frame.rotation == "none":
+            return np.array([0.0, 0.0, 0.0, 1.0])
         if "euler" in values:
             q = quat.from_matrix(np.ascontiguousarray(rotation_of(values["euler"], frame.euler_sequence).T))
         else:
@@ -252,7 +255,7 @@ class FrameDecoder:
         frame = self._frames.frame
         for name, default, part in (
             ("sigma_position", frame.sigma_position_m, slice(0, 3)),
-            ("sigma_angle", math.radians(frame.sigma_angle_deg or 0.0), slice(3, 6)),
+            ("sigma_angle", math.radians(frame.sigma_angle_deg or 0.0) or UNKNOWN_ATTITUDE_RAD, slice(3, 6)),
         ):
             covariance[part, part] = np.diag(np.square(values[name] if name in values else np.full(3, default)))
         return covariance

@@ -140,7 +140,8 @@ def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return what is emulated in a process each other than axes: devices, and parts of devices as ``DEVICE.PART``."""
     parts = rig.vmu.entry.emulated_parts if rig.has_vmu else ()
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"] if rig.has_vmu else []
-    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera"}
+    tracker = rig.table_of_part("tracker") is not None
+    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera", "tracker": tracker}
     return (*vision, *(device for device, is_there in more.items() if is_there))
 
 
@@ -157,6 +158,8 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
         tables["vmu"] = rig.vmu.connected("vmu", addresses)
     if rig.io is not None and rig.has_io:
         tables["io"] = rig.io.connected("io", addresses)
+    if (tracker := rig.table_of_part("tracker")) is not None:
+        tables["tracker"] = tracker.connected(addresses["tracker"])
     lines = {
         name.removeprefix("sensor."): SensorLine(port=address)
         for name, address in addresses.items()

@@ -75,6 +75,10 @@ def make_emulator(configuration: Message) -> Emulator:
 
         assert isinstance(clock, WallClock)  # ensured by ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
+    if device == "tracker":
+        from hil.parts.emulation.trackers import emulated_tracker
+
+        return emulated_tracker(scenario, rig, seed, board, clock)
     if device == "sensor":
         from hil.parts.emulation.emulated_vision import emulated_sensor
 

@@ -16,6 +16,7 @@ from hil.config.rig import AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.host import ClockConfig
 from hil.core.clock import WallClock
+from hil.core.part import hooks
 from hil.core.plug_ins import call
 from hil.drivers.base import AxisGroup, CountsPackets, Describes, PoseSource
 from hil.drivers.ptp import read_status
@@ -44,7 +45,8 @@ def hardware_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[P
 
 def wired_checks(scenario: Scenario, rig: Rig, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of clock, links and devices of a rig whose wires have addresses."""
-    return [ptp_check(rig.clock), *port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
+    of_parts = [each for check in hooks("preflight", scenario, rig) for each in check(rig)]
+    return [ptp_check(rig.clock), *port_checks(rig), *_devices(rig, scenario, clock, enable_drives), *of_parts]
 
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:

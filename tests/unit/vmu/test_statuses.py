@@ -12,7 +12,7 @@ from hil.vmu.statuses import STATUSES
 SOURCES = Path(hil.vmu.__file__).parent.rglob("*.py")
 
 
-def test_each_status_of_the_unit_is_explained_and_none_beside_them() -> None:
+def test_each_status_of_the_unit_is_explained_and_no_other() -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in SOURCES if path.name != "statuses.py")
     refused = set(re.findall(r'"(rejected_\w+)"', text))
     assert refused == {name for name in STATUSES if name.startswith("rejected_")}

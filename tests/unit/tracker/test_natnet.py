@@ -1,4 +1,4 @@
-"""Frames of a motion capture become poses of the sensor: examples/motion_capture/natnet_poses.py."""
+"""NatNet: frames of all versions as published, our own, and what the example makes of them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.maths import quat
+from hil.parts.tracker import natnet
+from hil.parts.tracker.frames import BodyPose
 
 FILE = Path(__file__).parents[3] / "examples/motion_capture/natnet_poses.py"
 TICKS_HZ = 10_000_000
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +47,7 @@ def frame(bodies: list[tuple[int, list[float], list[float], int]], version: tupl
     return struct.pack("<HH", 7, len(content)) + content
 
 
-@pytest.mark.parametrize("version", [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)])
+@pytest.mark.parametrize("version", VERSIONS)
 def test_pose_of_the_chaser_relative_to_the_target_and_its_age_are_read(
     bridge: ModuleType, version: tuple[int, int]
 ) -> None:
@@ -54,23 +57,43 @@ def test_pose_of_the_chaser_relative_to_the_target_and_its_age_are_read(
     poses = [(at, of_target), (at + of_target.apply(r_H), of_target * of_chaser)]
     rows = [(i + 1, list(where), list(turn.as_quat()), 1) for i, (where, turn) in enumerate(poses)]
     message = frame([(9, [0.0] * 3, [0.0, 0.0, 0.0, 1.0], 0), *rows], version)
-    found = bridge.bodies_of(message, version)
-    assert sorted(found) == [1, 2]  # body 9 is not tracked
-    value = bridge.pose_of(found[2], found[1])
+    read = natnet.frame_of(message, natnet.NatNetInfo(version, TICKS_HZ, 1511, ""), 100.0)
+    assert sorted(map(str, read.bodies)) == ["1", "2"]  # body 9 is not tracked
+    value = bridge.pose_of(read.bodies[2], read.bodies[1])
     assert value[:3] == pytest.approx(r_H, abs=1e-6)
     q_CH = np.empty(4)
     quat.from_rotation_vector_into(np.array(value[3:]), q_CH)
     assert quat.to_matrix(q_CH) == pytest.approx(of_chaser.as_matrix().T, abs=1e-6)  # from H to c
-    server = bridge.Server(version, TICKS_HZ, 1511, "")
-    assert bridge.age_of(message, server) == pytest.approx(0.005)
+    assert (read.stamp_s, read.age_s) == pytest.approx((0.1, 0.005))
+    assert read.bodies[2].error_m == pytest.approx(3e-4)
 
 
-def test_answer_of_a_server_states_version_clock_and_where_frames_arrive(bridge: ModuleType) -> None:
-    def answer(is_multicast: bool) -> bytes:
+def test_response_of_a_server_states_version_clock_and_where_frames_arrive() -> None:
+    def response(is_multicast: bool) -> bytes:
         head = struct.pack("<HH256s4B4B", 1, 279, b"Motive", 3, 1, 0, 0, 4, 1, 0, 0)
         return head + struct.pack("<QH?4B", TICKS_HZ, 1511, is_multicast, 239, 255, 42, 99)
 
-    assert bridge.server_of(answer(True)) == ((4, 1), TICKS_HZ, 1511, "239.255.42.99")
-    assert bridge.server_of(answer(False)).group == ""
-    with pytest.raises(ValueError, match=r"no answer of a NatNet server"):
-        bridge.server_of(struct.pack("<HH", 100, 0))
+    assert natnet.server_of(response(True)) == ((4, 1), TICKS_HZ, 1511, "239.255.42.99")
+    assert natnet.server_of(response(False)).group == ""
+    with pytest.raises(ValueError, match=r"no response of a NatNet server"):
+        natnet.server_of(struct.pack("<HH", 100, 0))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_own_server_sends_what_the_client_reads(version: tuple[int, int]) -> None:
+    server = natnet.NatNetInfo(version, float(TICKS_HZ), 1511, "239.255.42.99")
+    assert natnet.server_of(natnet.server_info(server)) == server
+    pose = BodyPose(np.array([1.0, -2.0, 0.5]), np.array([0.1, -0.2, 0.3, 0.9]), 2e-4)
+    read = natnet.frame_of(natnet.frame_message(7, {4: pose}, server, (12.5, 12.504)), server, 1.0)
+    assert read.bodies[4].position == pytest.approx(pose.position)
+    assert read.bodies[4].q == pytest.approx(pose.q)
+    assert (read.stamp_s, read.age_s) == pytest.approx((12.5, 0.004))
+
+
+def test_cut_and_hostile_frames_are_errors_of_values() -> None:
+    server = natnet.NatNetInfo((4, 1), float(TICKS_HZ), 1511, "")
+    whole = frame([(1, [0.0] * 3, [0.0, 0.0, 0.0, 1.0], 1)], (4, 1))
+    hostile = struct.pack("<HHi", 7, 0, 1) + struct.pack("<i", 2**31 - 1) * 4
+    for message in (*(whole[:n] for n in range(8, 100, 7)), hostile):
+        with pytest.raises((ValueError, struct.error)):
+            natnet.frame_of(message, server, 0.0)

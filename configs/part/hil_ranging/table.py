@@ -1,4 +1,4 @@
-"""Table ``[tracker]`` of scenario files."""
+"""Table ``[ranging]`` of scenario files."""
 
 from typing import Annotated
 
@@ -7,7 +7,7 @@ from pydantic import Field
 from hil.config.tables.model import ConfigModel, Positive
 
 
-class Tracker(ConfigModel):
+class Ranging(ConfigModel):
     """Samples of the distance. The name of a number ends in its unit; the text under a key is its meaning."""
 
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0

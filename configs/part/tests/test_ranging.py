@@ -11,19 +11,19 @@ from hil.report.section import sections_of
 
 
 def test_run_has_rows_numbers_section_and_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = hil.run("scheme-1", duration_s=4.0, overrides={"tracker.rate_hz": 5.0}, record=tmp_path)
-    assert run.summary["tracker"]["samples"] == 21
-    assert "Tracker" in [section.title for section in sections_of(run.summary)]
+    run = hil.run("scheme-1", duration_s=4.0, overrides={"ranging.rate_hz": 5.0}, record=tmp_path)
+    assert run.summary["ranging"]["samples"] == 21
+    assert "Ranging" in [section.title for section in sections_of(run.summary)]
     recording = run.summary["recording"]["file"]
-    assert len(hil.open(recording).rows_of("tracker_samples")) == 21
-    assert execute(["tracker", recording]) == 0
+    assert len(hil.open(recording).rows_of("ranging_samples")) == 21
+    assert execute(["ranging", recording]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 21
 
 
 def test_run_without_the_table_does_not_use_the_part() -> None:
-    assert "tracker" not in hil.run("scheme-1", duration_s=1.0).summary
+    assert "ranging" not in hil.run("scheme-1", duration_s=1.0).summary
 
 
 def test_wrong_value_is_refused_in_one_line() -> None:
-    with pytest.raises(BadInput, match=r"^overrides: tracker.rate_hz: -1.0: must be greater than 0$"):
-        hil.load_scenario("scheme-1", {"tracker.rate_hz": -1.0})
+    with pytest.raises(BadInput, match=r"^overrides: ranging.rate_hz: -1.0: must be greater than 0$"):
+        hil.load_scenario("scheme-1", {"ranging.rate_hz": -1.0})

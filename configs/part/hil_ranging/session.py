@@ -15,7 +15,7 @@ from hil.loop.runner import Outcome
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.section import Section
 from hil.session.assembly import Job
-from hil_tracker.table import Tracker
+from hil_ranging.table import Ranging
 
 SAMPLE_FIELDS = (
     Field("t_s", "f8", (), "s", "", "time of the run"),
@@ -27,7 +27,7 @@ SAMPLE = record_dtype(SAMPLE_FIELDS)
 @contextmanager
 def attach(job: Job, parts: SessionParts) -> Iterator[None]:
     """Add the part to the session of ``job``, until the run has ended."""
-    sampler = Sampler(job.scenario.value.table_of_part("tracker"), parts.sinks.get("tracker_samples", NoTelemetry()))
+    sampler = Sampler(job.scenario.value.table_of_part("ranging"), parts.sinks.get("ranging_samples", NoTelemetry()))
     parts.layers.append(sampler.over)
     parts.results.append(sampler.result)
     yield
@@ -36,7 +36,7 @@ def attach(job: Job, parts: SessionParts) -> Iterator[None]:
 class Sampler:
     """Layer between the loop and the recording. ``put`` is called in each cycle: it must be short and never wait."""
 
-    def __init__(self, table: Tracker, out: Telemetry) -> None:
+    def __init__(self, table: Ranging, out: Telemetry) -> None:
         self._table, self._out = table, out
         self._next_s = -math.inf
         self._row = np.zeros(1, SAMPLE)
@@ -60,13 +60,13 @@ class Sampler:
         self._out.put(self._row)
 
     def result(self, outcome: Outcome) -> PartResult:
-        """Return the numbers of the summary, table ``tracker``, and the rows of the run."""
+        """Return the numbers of the summary, table ``ranging``, and the rows of the run."""
         rows = np.array(self._samples, SAMPLE)
         last_m = float(rows["range_m"][-1]) if len(rows) and math.isfinite(rows["range_m"][-1]) else None
-        return PartResult("tracker", {"samples": len(rows), "last_range_m": last_m}, {"tracker_samples": rows})
+        return PartResult("ranging", {"samples": len(rows), "last_range_m": last_m}, {"ranging_samples": rows})
 
 
 def section(numbers: dict[str, Any]) -> Section:
     """Return the section of the report, for terminal and page."""
     last_m = "-" if numbers["last_range_m"] is None else f"{numbers['last_range_m']:.3f}"
-    return Section("Tracker", (), ("samples", "last, m"), [(str(numbers["samples"]), last_m)])
+    return Section("Ranging", (), ("samples", "last, m"), [(str(numbers["samples"]), last_m)])

@@ -1,9 +1,9 @@
-"""Command ``hil tracker``."""
+"""Command ``hil ranging``."""
 
 import hil
 
 
-def tracker(recording: str, /) -> None:
+def ranging(recording: str, /) -> None:
     """Print the samples of a recorded run.
 
     Parameters
@@ -11,6 +11,6 @@ def tracker(recording: str, /) -> None:
     recording
         File of the recording.
     """
-    samples = hil.open(recording).rows_of("tracker_samples")
+    samples = hil.open(recording).rows_of("ranging_samples")
     for t_s, range_m in zip(samples.t_s, samples.range_m, strict=True):
         print(f"{t_s:8.2f} s {range_m:8.3f} m")

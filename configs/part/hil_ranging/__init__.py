@@ -1,0 +1,1 @@
+"""Part ``ranging`` of ``hil``, declared in ``hil_ranging.part``."""

@@ -1,1 +1,0 @@
-"""Part ``tracker`` of ``hil``, declared in ``hil_tracker.part``."""

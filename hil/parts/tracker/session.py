@@ -1,0 +1,221 @@
+"""Tracker of a session: its frames against the encoders in each cycle, alarm and hold, rows, numbers."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import numpy as np
+
+from hil.config.load import Loaded
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core import alarm_table as table
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import Array
+from hil.drivers.mock_axes import MockAxes
+from hil.errors import Problem
+from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.loop.outcome import Outcome
+from hil.loop.runner import Runner
+from hil.loop.session_parts import PartResult, SessionParts
+from hil.params import bench as bench_params
+from hil.parts.tracker.comparison import BenchComparison, ComparedSample, Deviation
+from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
+from hil.parts.tracker.frames import TrackedFrame, TrackerSource
+from hil.parts.tracker.mock import MockTracker
+from hil.parts.tracker.results import TruthStatistics
+from hil.parts.tracker.rows import SAMPLE
+from hil.parts.tracker.table import ROLES, Tracker
+from hil.session.assembly import Job
+
+NAME: Final = "tracker"
+_WAITING: Final = 64  # frames that wait for the encoders
+_ROWS_MAX: Final = 200_000  # that are kept in memory
+_JUDGED_EACH: Final = 5  # cycles
+_SILENT_S: Final = 2.0
+_RECOVERED: Final = 0.7  # of its bound, below which a difference is over
+
+
+def check_run(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return why a tracker cannot be compared with this rig."""
+    config: Tracker = rig.value.table_of_part("tracker")
+    problems = []
+
+    def problem(key: str, text: str) -> None:
+        problems.append(Problem(rig.where(f"tracker.{key}"), f"rig.tracker.{key}", text))
+
+    if (config.driver == "mock") != (rig.value.kind == "mock"):
+        allowed = '"mock"' if rig.value.kind == "mock" else ", ".join(f'"{name}"' for name in config.on_wires)
+        problem("driver", f'"{config.driver}": on a rig of kind "{rig.value.kind}" allowed are {allowed}')
+    if rig.value.host.time == "lock_step":
+        problem("driver", f'"{config.driver}": a tracker keeps real time, not available in lock-step')
+    if rig.value.target_axes is not None:
+        problem("target", "a target on axes: its tracked body must stand")
+    if config.driver == "text" and config.port is None and rig.value.kind == "hardware":
+        problem("port", "is missing: the UDP port that receives the frames")
+    return problems
+
+
+@contextmanager
+def attach(job: Job, parts: SessionParts) -> Iterator[None]:
+    """Compare the tracker of the rig with the encoders in each cycle, until the run has ended."""
+    watch = TrackerWatch(job, parts)
+    parts.layers.append(watch.over)
+    parts.on_run_zero.append(watch.set_zero)
+    parts.on_built.append(watch.begin)
+    parts.results.append(watch.result)
+    try:
+        yield
+    finally:
+        watch.close()
+
+
+class TrackerWatch:
+    """Layer between the loop and the recording. ``put`` is called in each cycle, by the thread of the loop."""
+
+    def __init__(self, job: Job, parts: SessionParts) -> None:
+        rig = job.rig.value if parts.bench is None else parts.bench.rig
+        self._config: Tracker = rig.table_of_part("tracker")
+        self._job, self._clock = job, parts.clock
+        scenario = job.scenario.value
+        self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
+        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s))
+        self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
+        self._row = np.zeros(1, SAMPLE)
+        self._rows: Telemetry = NoTelemetry()
+        self._zero_s = math.nan
+        self._waiting: deque[tuple[float, TrackedFrame]] = deque(maxlen=_WAITING)
+        self._statistics = TruthStatistics(self._bench, scenario.step_s)
+        self._source: TrackerSource | None = None
+        self._alarm = ""
+        self._off = False
+        self._first_s = math.nan
+        self._cycles = 0
+        self._kept: list[np.ndarray] = []
+
+    def over(self, rows: Telemetry) -> Telemetry:
+        """Return this layer, which passes each row on to ``rows``."""
+        self._rows = rows
+        return self
+
+    def set_zero(self, run_zero_s: float) -> None:
+        """Take the bench time of the run's time zero; nan while the run's time stops."""
+        self._zero_s = run_zero_s
+
+    def begin(self, runner: Runner) -> None:
+        """Open the tracker: a mock one sees the true axes of ``runner``."""
+        self._safety, self._axis_names = runner.safety, runner.loop.bench.axis_names
+        if self._config.driver != "mock":
+            from hil.parts.tracker.link import open_link
+
+            assert self._clock is not None
+            self._source = open_link(self._config, self._clock)
+            return
+        rails, turntable = runner.loop.bench.rails, runner.loop.bench.turntable
+        assert isinstance(rails, MockAxes)
+        assert isinstance(turntable, MockAxes)
+        servos = rails.servo, turntable.servo
+
+        def true_pose(_: float) -> tuple[Array, Array]:
+            return pose_of(self._bench, np.concatenate([servo.position for servo in servos]))
+
+        self._source = MockTracker(self._config, self._job.seed, true_pose)
+
+    def put(self, row: np.ndarray) -> None:
+        """Pass ``row``, (1,) of CYCLE, on, and compare the newest frame whose moment its encoders have reached."""
+        self._rows.put(row)
+        if self._source is None:
+            return
+        now_s = self._zero_s + float(row["t_s"][0])
+        self._add_cycle(row[0], now_s)
+        if isinstance(self._source, MockTracker):
+            self._source.run_zero_s = self._zero_s
+        for frame in self._source.poll(now_s):
+            self._waiting.append((self.comparison.moment_of(frame), frame))
+        due = None
+        while self._waiting and self.comparison.is_due(*self._waiting[0]):
+            due = self._waiting.popleft()
+        if due is not None and (sample := self.comparison.compare(due[1], due[0])) is not None:
+            self._statistics.add(sample)
+            self._record(sample)
+        self._cycles += 1
+        if self._cycles % _JUDGED_EACH == 0:
+            self._judge(now_s)
+
+    def result(self, _: Outcome) -> PartResult:
+        """Return what the tracker has shown of the bench, table ``bench_truth``."""
+        comparison = self.comparison
+        numbers = self._statistics.numbers() | {
+            "driver": self._config.driver,
+            "counts": dict(comparison.counts),
+            "clock": comparison.clock.numbers()
+            | {"latency_ms": 1e3 * comparison.latency.value_s, "latency_sigma_ms": 1e3 * comparison.latency.sigma_s},
+            "alarm": self._alarm or None,
+        }
+        withheld = self._alarm or ("" if comparison.counts["ok"] else "no sample of the tracker could be compared")
+        rows = np.concatenate([np.zeros(0, SAMPLE), *self._kept])
+        return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld and f"tracker: {withheld}")
+
+    def close(self) -> None:
+        """Release the tracker."""
+        if self._source is not None:
+            self._source.close()
+
+    def _add_cycle(self, row: np.void, now_s: float) -> None:
+        """Take encoders, setpoint and truth of a cycle; gimbals are brought to the moment of the rails' encoders."""
+        feedback, (rails_s, gimbals_s) = row["feedback"], row["sampled_s"]
+        gimbals = feedback["gimbal_rad"] + (rails_s - gimbals_s) * feedback["gimbal_radps"]
+        self.comparison.encoders.add(self._zero_s + float(rails_s), np.concatenate([feedback["rail_m"], gimbals]))
+        self._statistics.add_cycle(row, now_s, self.comparison.encoders)
+
+    def _record(self, sample: ComparedSample) -> None:
+        """Send a row for each body of ``sample`` to the recording."""
+        row, config = self._row[0], self._config
+        for role, state in sample.states.items():
+            pose = sample.frame.bodies.get(config.bodies[role].body)
+            row["t_s"], row["received_s"] = sample.t_s - self._zero_s, sample.frame.received_s - self._zero_s
+            row["age_s"], row["body"], row["status"] = sample.frame.received_s - sample.t_s, ROLES.index(role), state
+            row["r_W"] = np.nan if pose is None else pose.position
+            row["q_bW"] = np.nan if pose is None or pose.q is None else pose.q
+            row["sigma_m"] = config.sigma_m if pose is None else max(config.sigma_m, pose.error_m)
+            row["sigma_rad"] = math.radians(config.sigma_deg)
+            row["off_m"], row["off_rad"] = (sample.off[:3], sample.off[3:]) if role == "chaser" else (np.nan, np.nan)
+            self._out.put(self._row)
+            if len(self._kept) < _ROWS_MAX:
+                self._kept.append(self._row.copy())
+
+    def _judge(self, now_s: float) -> None:
+        """Raise the alarms of a difference beyond its bound, with a hold, and of a tracker that is silent."""
+        alarms, last_s = self._safety.alarms, self.comparison.last_s
+        self._first_s = now_s if math.isnan(self._first_s) else self._first_s
+        silent_s = now_s - (self._first_s if math.isnan(last_s) else last_s)
+        failure = "" if self._source is None else self._source.failure
+        if failure or silent_s > _SILENT_S:
+            alarms.raise_condition(table.SAMPLES.alarm(now_s, NAME, failure or silent_s, _SILENT_S))
+        else:
+            alarms.return_to_normal(NAME, table.SAMPLES.quantity)
+        found = self.comparison.deviations(last_s)
+        judged = {role: each for role, each in found.items() if role != "reference"}
+        if not judged:
+            return
+        self._statistics.add_deviation(found.get("chaser"), self.comparison.sigmas())
+        largest = max(judged.values(), key=lambda each: each.excess)
+        if largest.excess > 1.0 and not self._off:
+            self._raise(now_s, largest, self.comparison.cause(found, self._axis_names))
+        elif largest.excess < _RECOVERED and self._off:
+            self._off = False
+            alarms.return_to_normal(NAME, table.BENCH_AGAINST_TRACKER.quantity)
+
+    def _raise(self, now_s: float, off: Deviation, cause: str) -> None:
+        (position, attitude), (position_max, attitude_max) = off.sizes, off.bounds
+        rotates = attitude / attitude_max > position / position_max
+        size, bound = (attitude, attitude_max) if rotates else (position, position_max)
+        notes = f", {cause}", ""
+        alarm = table.BENCH_AGAINST_TRACKER.alarm(now_s, NAME, size, bound, rotates=rotates, notes=notes)
+        self._off, self._alarm = True, self._alarm or alarm.text
+        self._safety.alarms.raise_condition(alarm)
+        self._safety.request_hold(alarm.text)

@@ -1,0 +1,78 @@
+"""Tracker of the mock rig in runs: rows, numbers, section, alarm and hold, and runs without one."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.errors import BadInput
+from hil.report.section import sections_of
+
+TRACKER: dict[str, Any] = {
+    "rig.tracker.driver": "mock", "rig.tracker.chaser.body": 1, "rig.tracker.target.body": 2,
+}  # fmt: skip
+KEYS = ("sigma_m", "sigma_deg", "off_m", "off_deg")
+
+
+def test_run_has_rows_numbers_and_a_section_and_keeps_its_bits(tmp_path: Path) -> None:
+    plain = hil.run("scheme-1", duration_s=20.0)
+    run = hil.run("scheme-1", duration_s=20.0, overrides=TRACKER, record=tmp_path)
+    assert run.history.tobytes() == plain.history.tobytes()  # it never reaches the GNC
+    assert run.summary["withheld"] is None
+    truth = run.summary["bench_truth"]
+    assert all(len(truth[key]) == 3 and all(map(math.isfinite, truth[key])) for key in KEYS)
+    assert all(abs(off) < 3.0 * sigma for off, sigma in zip(truth["off_m"], truth["sigma_m"], strict=True))
+    assert truth["clock"]["latency_ms"] == pytest.approx(4.0, abs=3.0 * truth["clock"]["latency_sigma_ms"])
+    assert truth["counts"]["ok"] > 900
+    (section,) = [each for each in sections_of(run.summary) if each.title == "Tracker"]
+    assert [row[0] for row in section.rows] == ["commanded", "encoders", "tracker"]
+    rows = hil.open(run.summary["recording"]["file"]).rows_of("tracker_samples")
+    assert set(rows["body"]) == {0, 1}
+    assert (rows["status"] == 0).all()
+    assert np.abs(rows["off_m"][rows["body"] == 0]).max() < 2e-3
+
+
+def test_run_whose_base_moves_is_held_and_has_no_verdict() -> None:
+    fault = [{"kind": "moved", "at_s": 10.0, "value": [0.0, 0.003, 0.0]}]
+    run = hil.run("scheme-1", duration_s=14.0, overrides={**TRACKER, "rig.tracker.faults": fault})
+    alarm = next(each for each in run.summary["alarms"] if each["code"] == "bench_against_tracker")
+    assert 10.0 < alarm["t_s"] < 12.0
+    assert "rails.y or its base: +2." in alarm["text"]  # of the three millimetres, as soon as they are noticed
+    assert not run.summary["accepted"]
+    assert run.summary["withheld"] == f"tracker: {alarm['text']}"
+    assert run.summary["stop"].startswith("bench: hold (tracker: bench against tracker off by ")
+
+
+def test_tracker_that_sees_nothing_gives_no_verdict() -> None:
+    fault = [{"kind": "no_pose", "at_s": 0.0}]
+    run = hil.run("scheme-1", duration_s=5.0, overrides={**TRACKER, "rig.tracker.faults": fault})
+    assert run.summary["withheld"] == "tracker: no sample of the tracker could be compared"
+    assert [each["code"] for each in run.summary["alarms"]] == ["samples"]
+
+
+def test_run_without_the_table_does_not_load_the_part() -> None:
+    code = "import sys, hil; hil.run('scheme-1', duration_s=1.0); print([m for m in sys.modules if 'tracker' in m])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "hil.parts.tracker" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"rig.tracker.driver": "natnet"}, 'rig.tracker.driver: "natnet": on a rig of kind "mock" allowed are "mock"'),
+        ({"rig.tracker.chaser.body": -1}, "rig.tracker.chaser.body: -1"),
+        ({"rig.tracker.sigma": 1.0}, "rig.tracker.sigma: unknown key"),
+    ],
+)
+def test_wrong_tables_are_refused_in_one_line(changed: dict[str, Any], text: str) -> None:
+    with pytest.raises(BadInput) as refused:
+        hil.run("scheme-1", duration_s=1.0, overrides=TRACKER | changed)
+    (problem,) = refused.value.problems
+    assert text in str(problem)
