@@ -167,6 +167,22 @@ def test_setpoints_that_cease_let_the_robot_brake_within_its_limits(rig_file: st
         assert np.isfinite(bench.read()).all()
 
 
+@robots
+def test_gap_in_the_setpoints_causes_no_jump(rig_file: str) -> None:
+    with opened(rig_file) as bench:
+        start, begin_s, given = bench.read(), bench.now_s, []
+        while (t := bench.now_s - begin_s) < 0.9:
+            done = 0.5 * t * t / 0.3 if t < 0.3 else t - 0.15
+            if not 0.4 <= t < 0.48:
+                bench.send(start + PATH * done, PATH * min(1.0, t / 0.3))
+            for _ in range(5):
+                bench.clock.sleep(STEP_S / 5.0)
+                given.append(bench.robot.given)
+        steps = np.diff(np.array(given[2:]), axis=0)
+        assert np.abs(steps).max() < 1.5 * np.abs(PATH).max() * STEP_S / 5.0
+        assert (steps * np.sign(PATH) > -1e-9).all()
+
+
 FAULTS = {
     "drop 1.0": ("no cycle for 0.1", 0.25),
     "corrupt 1.0": ("(no cycle for 0.1|the controller has ended)", 0.25),

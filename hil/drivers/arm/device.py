@@ -99,7 +99,7 @@ class ArmExchange:
         self.error = None
         flange = call("arm", self._link.open)
         axes = self._kinematics.axes_of(flange, np.zeros(6))
-        self._delivered, self._rate, self._delivered_s = axes, np.zeros(6), flange.t_s
+        self.delivered = flange.t_s, axes, np.zeros(6)
         try:
             self._target = self._kinematics.target(axes, flange.t_s, flange.joints_rad)
         except Unreachable as error:
@@ -118,7 +118,7 @@ class ArmExchange:
                 self._link.stop(END)
         target = self._allowed(position, rate, due_s) or self._target
         if target is not self._target:
-            self._delivered, self._rate, self._delivered_s, self._target = position, rate, due_s, target
+            self.delivered, self._target = (due_s, position, rate), target
         flange = call("arm", self._link.exchange, target)
         return None if flange is None else self._feedback(flange)
 
@@ -127,10 +127,10 @@ class ArmExchange:
         before, model = self._target.joints_rad, self._kinematics
         try:
             target = model.target(position, due_s, before)
-            if self._ramp is None and due_s > self._delivered_s:
+            if self._ramp is None and due_s > self.delivered[0]:
                 assert before is not None
                 assert target.joints_rad is not None
-                model.model.check_rate(before, target.joints_rad, due_s - self._delivered_s)
+                model.model.check_rate(before, target.joints_rad, due_s - self.delivered[0])
                 model.target(braking(position, rate, math.inf, self._acceleration_max)[0], due_s, before)
             return target
         except Unreachable as refused:
@@ -140,13 +140,13 @@ class ArmExchange:
 
     def _brake(self, now_s: float) -> None:
         if self._ramp is None:
-            self._ramp = self._delivered, self._rate, now_s
+            self._ramp = *self.delivered[1:], now_s
 
     def _feedback(self, flange: FlangePose) -> AxisFeedback:
-        axes = self._kinematics.axes_of(flange, self._delivered)
+        axes = self._kinematics.axes_of(flange, self.delivered[1])
         if not np.array_equal(axes, self._measured):
-            self._unchanged = self._delivered
-        elif np.any(np.abs(self._delivered - self._unchanged) > np.repeat(_FROZEN, 3)):
+            self._unchanged = self.delivered[1]
+        elif np.any(np.abs(self.delivered[1] - self._unchanged) > np.repeat(_FROZEN, 3)):
             raise ProtocolError("arm", "repeats its last pose while it is commanded to move")
         elapsed_s = flange.t_s - self._measured_s
         rate = (axes - self._measured) / elapsed_s if elapsed_s > 0.0 else np.zeros(6)
@@ -161,7 +161,7 @@ class ArmExchange:
 
     def quick_stop(self) -> None:
         """Brake all axes along their path, then hold."""
-        self._brake(self._delivered_s)
+        self._brake(self.delivered[0])
         self._link.stop(HOLD)
 
     def disable(self) -> None:
@@ -228,6 +228,13 @@ class ArmAxes(CyclicAxisGroup):
     def _wait(self, until_s: float) -> bool:
         """Return at once: the exchange waits for the robot."""
         return False
+
+    def _limited(self, position: Array, rate: Array, sent_s: float, now_s: float) -> tuple[Array, Array]:
+        """Return what to deliver now: after a gap the axes catch up from what was delivered last."""
+        last_s, *last = self._link.delivered
+        axes = zip(self._limiters, position.tolist(), rate.tolist(), *(each.tolist() for each in last), strict=True)
+        limited = np.array([limiter.next(p, v, sent_s, now_s, (last_s, q, u)) for limiter, p, v, q, u in axes])
+        return limited[:, 0], limited[:, 1]
 
     def _next_setpoint(self, now_s: float) -> tuple[Array, Array]:
         """Return position and rate due at ``now_s``: within the span of the last two setpoints, or braking after it."""
