@@ -998,8 +998,6 @@ class Rig(FileTable):
                 raise ValueError(f'{key}.driver = "arm": needs the table [arm] of the robot')
             if self.arm is not None and group.driver != allowed:
                 raise ValueError(f'{key}.driver = "{group.driver}": does not go with [arm], allowed "{allowed}"')
-            if self.arm is not None and (group.driven != group.axis_names or group.own_controllers):
-                raise ValueError(f"{key}: does not go with [arm], allowed: no axis fixed or on a controller of its own")
         return self
 
     @model_validator(mode="after")
