@@ -994,16 +994,12 @@ class Rig(FileTable):
 
     @model_validator(mode="after")
     def _an_arm_stands_for_both(self) -> Self:
-        drivers = {"rails": self.rails.driver, "turntable": self.turntable.driver}
-        expected = "mock" if self.kind == "mock" else "arm"
-        if self.arm is not None:
-            for key, driver in drivers.items():
-                if driver != expected:
-                    raise ValueError(f'{key}.driver = "{driver}": does not go with [arm], allowed "{expected}"')
-            if self.undriven or self.rails.controllers or self.turntable.controllers:
-                raise ValueError("arm: stands for six axes, allowed: none of them fixed or on a controller of its own")
-        elif "arm" in drivers.values():
-            raise ValueError('driver = "arm": needs the table [arm] of the robot')
+        allowed = "mock" if self.kind == "mock" else "arm"
+        for key, group in (("rails", self.rails), ("turntable", self.turntable)):
+            if self.arm is None and group.driver == "arm":
+                raise ValueError(f'{key}.driver = "arm": needs the table [arm] of the robot')
+            if self.arm is not None and group.driver != allowed:
+                raise ValueError(f'{key}.driver = "{group.driver}": does not go with [arm], allowed "{allowed}"')
         return self
 
     @model_validator(mode="after")

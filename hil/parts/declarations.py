@@ -20,7 +20,7 @@ CORE: Final = Part(
         ),
         "init": PartCommand(
             "hil.cli.init:init",
-            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.",
+            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part, or a driver.",
             "hil init approach",
         ),
         "preflight": PartCommand(
