@@ -99,6 +99,7 @@ def test_campaign_runs_cases() -> None:
         ("planar", "gnc.navigation.backend='vision_alone'", 'truth.relative_motion: "hill": does not go with the'),
         ("planar-floating", "chaser.planar=false", "chaser.planar: false: does not go with the floating vehicle"),
         ("planar-floating", "gnc.navigation.backend='builtin'", "allowed one without an IMU"),
+        ("planar-floating", "rig.bench.geometry_file='bench.toml'", "floating: does not go with bench.errors or"),
         ("planar-floating", "rig.io.thruster_lines=0", "floating: does not go with no thruster lines"),
         ("planar-floating", "rig.bench.gimbal_order='zyx'", 'bench.gimbal_order "zyx", allowed "yxz", "yzx"'),
     ],
