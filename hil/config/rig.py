@@ -968,6 +968,9 @@ class Rig(FileTable):
             f"{', '.join(driven)} driven, allowed no axis": driven,
             "bench.axes_rate_hz, allowed none": self.bench.axes_rate_hz is not None,
             "bench.lab_axes, allowed those of H": self.bench.lab_axes != UNIT_AXES,
+            "bench.errors or bench.geometry_file, allowed none: they are of axes": (
+                self.bench.errors != MachineErrors() or self.bench.geometry_file is not None
+            ),
             f'bench.gimbal_order "{self.bench.gimbal_order}", allowed "yxz", "yzx": y outside': (
                 self.bench.gimbal_order[0] != "y"
             ),

@@ -115,12 +115,16 @@ class MeasuredTruth:
             carry_on(self._r[0], self._q[0], self._v, self._w, t_s - float(self._t_s[0]), self._truth)
 
     def numbers(self) -> dict[str, Any]:
-        """Return for JSON who measures the truth, and the largest sigmas that were reported."""
+        """Return for JSON who measures the truth, and the largest sigmas: as reported, and of the fitted rates."""
+        window_s, sigma_deg = self._settings.rate_window_s, math.degrees(self._sigma_rad)
+        per_window = math.sqrt(12.0 / len(self._t_s)) / window_s  # of a line through equally spaced poses
         return {
             "measured_by": self._settings.pose,
             "sigma_m": self._sigma_m,
-            "sigma_deg": math.degrees(self._sigma_rad),
-            "rate_window_s": self._settings.rate_window_s,
+            "sigma_deg": sigma_deg,
+            "sigma_mps": per_window * self._sigma_m,
+            "sigma_degps": per_window * sigma_deg,
+            "rate_window_s": window_s,
         }
 
 

@@ -64,7 +64,8 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     if truth := run.truth:
         yield (
             f"Truth       measured by {truth['measured_by']}, 1 sigma up to {1e3 * truth['sigma_m']:.2f} mm, "
-            f"{truth['sigma_deg']:.4f} deg; rates over {truth['rate_window_s']:g} s"
+            f"{truth['sigma_deg']:.4f} deg; over {truth['rate_window_s']:g} s {1e3 * truth['sigma_mps']:.2f} mm/s, "
+            f"{truth['sigma_degps']:.4f} deg/s"
         )
     for name, sensor in (run.sensors or {}).items():
         yield Text(f"Sensor      {name}: {_sensor_text(sensor)}")

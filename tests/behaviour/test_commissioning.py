@@ -16,6 +16,7 @@ from hil.drivers.io.mock import MockIo
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.parts.commissioning.emergency_stop import ChainTests
 from hil.parts.commissioning.prompt import ScriptedPrompt, StepFailed
 from hil.parts.commissioning.steps import Commissioning, CommissioningPlan, Findings, TruePosition
 from hil.session import build
@@ -152,6 +153,22 @@ def test_with_all_axes_in_order_the_dry_run_goes_a_quarter_as_fast_as_allowed() 
     speed = np.abs(np.diff(places[:, X])) / STEP_S
     assert 0.04 < speed.max() <= 0.05 + 1e-9
     assert np.ptp(places[:, X]) == pytest.approx(0.1 + 0.02, abs=0.005)  # the straight piece, and the try before
+
+
+def test_bench_of_a_floating_vehicle_moves_no_axis() -> None:
+    job, prompt = make_job(STEP_S, scenario="planar-floating", rig="mock-floating"), ScriptedPrompt()
+    with build.runner(job) as runner:
+        lines = runner.loop.safety_io
+        assert isinstance(lines, SafetyIoStage)
+        assert isinstance(lines.io, MockIo)
+        plan = CommissioningPlan((), tuple(range(6)), ends=False)
+        found = Commissioning(runner, job.rig.value, prompt, plan, Button(lines.io), None).run()
+        lines.io.open(runner.now_s())
+        ChainTests(runner, job.rig.value, prompt, 0)._test_torque(lines)  # of no drive
+    assert found.dry_run is not None
+    assert not found.dry_run.any()
+    assert "the vehicle floats: no axis moves, its thrusters are not tested" in prompt.lines
+    assert not any("without torque" in line for line in prompt.lines)
 
 
 def test_ends_of_the_travel_are_approached_when_asked_for() -> None:

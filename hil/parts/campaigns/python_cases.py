@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 
 from hil.config.load import Loaded
@@ -53,6 +55,7 @@ class PythonCaseRunner:
         loaded = Loaded(self.scenario, "campaign", {}), Loaded(self.rig, "campaign", {})
         job = Job(*loaded, seed, self._duration_s, 1.0, dispersed=truth, own=self._own)
         rate = SimulatedRate(SimulatedClock(), job.tick_s)
+        gc.collect()  # the records of the last case, 20 MB, are few objects
         outcome = build.in_memory(job, rate, SessionParts(on_full=count)).run()
         if len(outcome.history):
             count(outcome.history)

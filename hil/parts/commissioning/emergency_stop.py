@@ -236,7 +236,9 @@ class ChainTests:
         """Switch enable off: the drives must report that they have no torque."""
         begun_s = now_s = self._runner.rate.now_s()
         lines.io.write(IoOutputs(False, b""), now_s)
-        for group in (self._runner.loop.bench.rails, self._runner.loop.bench.turntable):
+        bench, rig = self._runner.loop.bench, self._rig
+        driven = [axes for axes, table in ((bench.rails, rig.rails), (bench.turntable, rig.turntable)) if table.driven]
+        for group in driven:
             while (report := _fault(group, now_s)) is None:
                 if now_s - begun_s > _TORQUE_OFF_S:
                     expected = f"drives without torque {_TORQUE_OFF_S:g} s after enable is off"

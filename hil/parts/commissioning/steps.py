@@ -253,6 +253,9 @@ class Commissioning:
     def _dry_run(self, mover: SlowMover) -> Array:
         """Move to the start pose and a short distance towards the target, at a quarter of the speed limits."""
         self._title("dry run")
+        if self._rig.floating is not None:
+            self._prompt.show("the vehicle floats: no axis moves, its thrusters are not tested")
+            return np.zeros(len(self._bench.axis_names))
         question = "The bench will move to the scenario's start pose at a quarter of its speed. Is its path clear?"
         self._require_yes(mover, "bench", "dry run", question, "the path of the axes")
         there = mover.slowly(self._axes_at(0.0))

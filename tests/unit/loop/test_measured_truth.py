@@ -11,12 +11,16 @@ from hil.errors import SafetyTrip
 from hil.loop.core_memory import CoreMemory
 from hil.loop.floating import MeasuredTruth
 from hil.maths import euler, quat
+from hil.params import dynamics as dynamics_params
 from hil.sensors.vision_unit.pose import write_pose
 from hil.session.assembly import core_memory
 from tests.support.run_settings import make_job
 
 RATE_HZ = 50.0
 V, W = np.array([-0.02, 0.0, 0.01]), np.array([0.0, 0.005, 0.0])
+
+
+START = dynamics_params.initial_truth(load_scenario("planar-floating").value)
 
 
 def memory() -> CoreMemory:
@@ -52,6 +56,21 @@ def test_rates_are_those_of_the_poses_and_carry_the_truth_on() -> None:
     expected = pose(2.5)[0]
     np.testing.assert_allclose(now.q_CH, expected.q_CH, atol=1e-9)
     np.testing.assert_allclose(-quat.transform(now.q_CH, now.r_CT_H), expected.z_TC_C, atol=1e-9)
+
+
+def test_sigma_of_the_fitted_rate_is_that_of_many_noisy_runs() -> None:
+    core = memory()
+    truth, random, speeds = measured(core), np.random.default_rng(1), []
+    for _ in range(200):
+        truth.begin()
+        for k in range(52):  # none of the poses before the first one is in the window
+            noisy = pose(k / RATE_HZ)
+            noisy.z_TC_C += 1e-3 * random.standard_normal(3)
+            truth.update(noisy, k / RATE_HZ)
+        speeds.append(core.now.truth.v_CT_H - V)
+        core.now.row["truth"] = START
+    sigma = np.std(np.array(speeds)[:, [0, 2]])
+    assert sigma == pytest.approx(truth.numbers()["sigma_mps"] * 1e-3 / truth.numbers()["sigma_m"], rel=0.1)
 
 
 def test_truth_stays_in_the_plane() -> None:
