@@ -102,6 +102,7 @@ RIG_LIMITS: Final = (
     *_link("vmu", "a vision unit that loses frames", 0.1),
     Limit("vmu.bench_sigma_m", "poses that differ from the encoders", 0.01, 0.05, 10.0),
     Limit("vmu.bench_sigma_deg", "poses that differ from the encoders", 0.5, 2.0, 90.0),
+    Limit("arm.timeout_s", "silence of the controller of a robot", 0.2, 0.5, 1.0),
     Limit("io.timeout_s", "silence of the coupler of the safety chain", 1.0, 2.0, 3600.0),
     Limit("io.pump_timeout_s", "torque of a controller that is dead or hangs", 0.2, 1.0, 60.0),
     Limit("io.torque_delay_s", "torque after the safety chain has opened", 0.5, 1.0, 3600.0),
