@@ -186,10 +186,13 @@ class ArmAxes(CyclicAxisGroup):
         table = six_axes(rig)
         self._acceleration_max = np.array([axis.limits[3] for axis in table.axes])
         super().__init__(table, clock, ArmExchange(rig, link, self._acceleration_max), "arm")
-        self._due_s = link.due_s
+        self._robot = link
         self._period_s = _PERIOD_S
         self._span: tuple[Array, Array, float] | None = None
         self.opened: set[str] = set()
+
+    def _due_s(self) -> float:
+        return self._robot.due_s()
 
     def set_period(self, period_s: float) -> None:
         """Expect a setpoint every ``period_s``."""
