@@ -17,8 +17,9 @@ from hil.parts.campaigns.campaign import Sweep
 
 
 class CampaignArguments(BackendArguments, total=False):
-    """Further arguments of ``hil.campaign``. scheduler: address of a Dask scheduler. dispersions: set or file."""
+    """Further arguments of ``hil.campaign``. rig: in memory. scheduler: of Dask. dispersions: set or file."""
 
+    rig: str
     scheduler: str | None
     dispersions: str | Path | None
 
@@ -104,7 +105,7 @@ def campaign(
     options
         ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
         object of a class, and a copy of an object. A case whose object raises has failed;
-        ``summary["first_error"]`` has the first traceback. ``scheduler=``: address of a Dask scheduler, whose workers
+        ``summary["first_error"]`` has the first traceback. ``rig=``: another one in memory. ``scheduler=``: address of a Dask scheduler, whose workers
         are used. ``dispersions=``: a set or a file, instead of the scenario's. ``against=``: a second scenario, which
         returns a Comparison; ``sweep="key=low:high:n"`` returns SweepResults; ``rare="column > number"`` with
         ``method=``, and ``sobol=rows`` return StudyResults.
