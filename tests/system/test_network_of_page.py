@@ -87,7 +87,7 @@ def course(page: ChromiumPage, watcher: Page, relay: Relay, dice: random.Random,
             seen.late_orders.append(f"{name}: {watcher.now['mode']}")
             break
     relay.heal()
-    if what == "order" and was_in == "standby":
+    if what == "order" and was_in == "standby" and stall_s > ACT_S:  # within that time it may act
         until(page, "document.getElementById('answer').textContent !== '' || window.hil.link.age_s < 0.3", 10.0)
         if not text(page, "answer"):
             seen.not_shown.append(f"{name}: no reason")

@@ -105,10 +105,11 @@ def campaign(
     options
         ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
         object of a class, and a copy of an object. A case whose object raises has failed;
-        ``summary["first_error"]`` has the first traceback. ``rig=``: another one in memory. ``scheduler=``: address of a Dask scheduler, whose workers
-        are used. ``dispersions=``: a set or a file, instead of the scenario's. ``against=``: a second scenario, which
-        returns a Comparison; ``sweep="key=low:high:n"`` returns SweepResults; ``rare="column > number"`` with
-        ``method=``, and ``sobol=rows`` return StudyResults.
+        ``summary["first_error"]`` has the first traceback. ``rig=``: another one in memory.
+        ``scheduler=``: address of a Dask scheduler, whose workers are used. ``dispersions=``: a set or a
+        file, instead of the scenario's. ``against=``: a second scenario, which returns a Comparison;
+        ``sweep="key=low:high:n"`` returns SweepResults; ``rare="column > number"`` with ``method=``, and
+        ``sobol=rows`` return StudyResults.
 
     Raises
     ------
