@@ -8,22 +8,26 @@ What may be wrong of a bench: ``hil.config.tables.machine``.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import elementary, euler, quat, stack
+from hil.maths import euler, quat, stack
 from hil.maths.arrays import copy_into, cross_into, fill
 
 GEOMETRY = np.dtype(
     [
         ("enabled", "i8"),  # 0: an ideal machine
-        ("stack", "i8", 3),  # rails from the floor up
+        ("carries", "f8", (3, 3)),  # 1: the rail of the row carries that of the column
         ("centre", "f8", 3),  # m, of the travel of each rail
         ("inverse", "f8", 3),  # 1/m, of half of it; 0 for a fixed rail
-        ("rail", "f8", (3, 6, 3)),  # displacement x y z, m, and rotation, rad, of each carriage: P1, P2, P3
+        ("rail", "f8", (3, 3, 6)),  # P1, P2, P3 of the displacement x y z, m, and rotation, rad, of each carriage
         ("squareness", "f8", 3),  # rad, more than 90 deg between x and y, y and z, z and x
         ("zero", "f8", 3),  # rad, added to the encoders of roll, pitch, yaw
         ("turntable_tilt", "f8", 3),  # rad, of the outer gimbal's axis
+        ("outer", "f8", 3),  # unit vector of the outer axis
+        ("sign", "f8"),  # 1: outer, middle and inner axis are right-handed; else -1, also of what is below
         ("middle_tilt", "f8"),  # rad, outer and middle axis are not orthogonal
         ("middle_offset", "f8"),  # m, of the middle axis from the outer one
         ("inner_tilt", "f8"),  # rad, middle and inner axis
@@ -38,6 +42,7 @@ GEOMETRY = np.dtype(
 
 _SMALL = 1.6e-5  # product of error and correction, m and rad, up to which the correction is of first order
 _ITERATIONS = 5
+_POLE = 1e-9  # least cosine of the middle angle
 
 
 @kernel
@@ -49,41 +54,53 @@ def _add_cross(a, b, out):
 
 
 @kernel
-def _deviation(g, order, rail_m, angles, a, arm, shift, turn):
+def _at(rail, i, m, t, p2, p3):
+    """Return component ``m`` of what rail ``i`` does to its carriage."""
+    return rail[i, 0, m] * t + rail[i, 1, m] * p2 + rail[i, 2, m] * p3
+
+
+@kernel
+def _deviation(g, order, rail_m, a, arm, shift, turn):
     """Write by how much the chaser is displaced, ``shift`` (3,), m, and rotated, ``turn`` (3,), rad, in rails' axes.
 
-    angles: of the gimbals, zero offsets included, whose attitude is ``a`` (3, 3). arm: (3,), m, from their centre.
+    a: (3, 3), attitude of the gimbals, zero offsets included. arm: (3,), m, from their centre.
     """
-    above, rotation = stack.vector(3), stack.vector(3)
-    fill(above, 0.0)
-    fill(shift, 0.0)
-    fill(turn, 0.0)
-    for n in range(2, -1, -1):
-        i = g.stack[n]
+    x, y, z = rail_m[0], rail_m[1], rail_m[2]
+    s_x, s_y, s_z = -g.squareness[0] * y - g.squareness[2] * z, -g.squareness[1] * z, 0.0
+    t_x, t_y, t_z = g.turntable_tilt[0], g.turntable_tilt[1], g.turntable_tilt[2]
+    for i in range(3):
         t = (rail_m[i] - g.centre[i]) * g.inverse[i]
-        p2 = 1.5 * t * t - 0.5
-        p3 = (2.5 * t * t - 1.5) * t
-        for m in range(3):
-            shift[m] += g.rail[i, m, 0] * t + g.rail[i, m, 1] * p2 + g.rail[i, m, 2] * p3
-            rotation[m] = g.rail[i, 3 + m, 0] * t + g.rail[i, 3 + m, 1] * p2 + g.rail[i, 3 + m, 2] * p3
-            turn[m] += rotation[m]
-        _add_cross(rotation, above, shift)
-        above[i] += rail_m[i]
-    shift[0] -= g.squareness[0] * rail_m[1] + g.squareness[2] * rail_m[2]
-    shift[1] -= g.squareness[1] * rail_m[2]
-    i, j, k = order[0], order[1], order[2]
-    sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    sine, cosine = sign * elementary.sin(angles[i]), elementary.cos(angles[i])
+        p2, p3 = 1.5 * t * t - 0.5, (2.5 * t * t - 1.5) * t
+        u, v, w = g.carries[i, 0] * x, g.carries[i, 1] * y, g.carries[i, 2] * z
+        r_x, r_y, r_z = (
+            _at(g.rail, i, 3, t, p2, p3),
+            _at(g.rail, i, 4, t, p2, p3),
+            _at(g.rail, i, 5, t, p2, p3),
+        )
+        s_x += _at(g.rail, i, 0, t, p2, p3) + r_y * w - r_z * v
+        s_y += _at(g.rail, i, 1, t, p2, p3) + r_z * u - r_x * w
+        s_z += _at(g.rail, i, 2, t, p2, p3) + r_x * v - r_y * u
+        t_x, t_y, t_z = t_x + r_x, t_y + r_y, t_z + r_z
+    # unit vectors: the inner axis, the middle one, and those at right angles to outer and middle, middle and inner one
+    n = order[2]
+    inner, outer = a[n], g.outer
     middle, across, third = stack.vector(3), stack.vector(3), stack.vector(3)
-    middle[i], middle[j], middle[k] = 0.0, cosine, sine  # the middle axis
-    across[i], across[j], across[k] = 0.0, -sine, cosine  # at right angles to outer and middle axis
-    cross_into(middle, a[k], third)  # to middle and inner axis
+    cross_into(inner, outer, middle)
+    size = g.sign / max(_POLE, math.sqrt(middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2]))
     for m in range(3):
-        third[m] *= sign
-        turn[m] += g.turntable_tilt[m] + g.middle_tilt * across[m] + g.inner_tilt * third[m]
+        middle[m] *= size
+    cross_into(outer, middle, across)
+    cross_into(middle, inner, third)
+    for m in range(3):
+        shift[m] = g.middle_offset * across[m] + g.inner_offset[0] * third[m] + g.inner_offset[1] * middle[m]
+        turn[m] = g.middle_tilt * across[m] + g.inner_tilt * third[m]
         turn[m] += a[0, m] * g.reference_tilt[0] + a[1, m] * g.reference_tilt[1] + a[2, m] * g.reference_tilt[2]
-        shift[m] += g.middle_offset * across[m] + g.inner_offset[0] * third[m] + g.inner_offset[1] * middle[m]
-    _add_cross(turn, arm, shift)
+    turn[0] += t_x
+    turn[1] += t_y
+    turn[2] += t_z
+    shift[0] += s_x + turn[1] * arm[2] - turn[2] * arm[1]
+    shift[1] += s_y + turn[2] * arm[0] - turn[0] * arm[2]
+    shift[2] += s_z + turn[0] * arm[1] - turn[1] * arm[0]
 
 
 @kernel
@@ -96,7 +113,7 @@ def machine_pose(g, order, rail_m, gimbal_rad, r_L, q_CL):
     euler.to_quaternion_into(angles, order, near)
     quat.to_matrix_into(near, a)
     quat.transform_back_into(near, g.arm, arm)
-    _deviation(g, order, rail_m, angles, a, arm, shift, turn)
+    _deviation(g, order, rail_m, a, arm, shift, turn)
     for i in range(3):
         r_L[i] = rail_m[i] + arm[i] + shift[i]
     quat.transform_back_into(g.q_base, r_L, r_L)
@@ -122,22 +139,21 @@ def to_rails(g, r, v, q):
 
 
 @kernel
-def compensate(g, order, r, q, axes):
+def compensate(g, order, r, q, a, arm, jacobian, axes):
     """Correct the positions of ``axes`` (AXES), those of an ideal machine at this pose in rails' axes.
+
+    a: (3, 3) and arm: (3,), of ``q``, and jacobian: (3, 3), ``euler.rate_jacobian_of_matrix_into``; overwritten.
 
     Errors of 4 mm or 4 mrad are corrected to first order, within their square; of larger ones the place at which they
     are taken is iterated first. r: (3,), m. q: (4,).
     """
-    a, jacobian, near, small = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(4), stack.vector(4)
-    arm, shift, turn = stack.vector(3), stack.vector(3), stack.vector(3)
+    near, small, shift, turn = stack.vector(4), stack.vector(4), stack.vector(3), stack.vector(3)
     known_shift, known_turn, step = stack.vector(3), stack.vector(3), stack.vector(3)
     fill(known_shift, 0.0)
     fill(known_turn, 0.0)
     copy_into(near, q)
     for _ in range(_ITERATIONS):
-        quat.to_matrix_into(near, a)
-        quat.transform_back_into(near, g.arm, arm)
-        _deviation(g, order, axes.rail_m, axes.gimbal_rad, a, arm, shift, turn)
+        _deviation(g, order, axes.rail_m, a, arm, shift, turn)
         size, change = 0.0, 0.0
         for i in range(3):
             size = max(size, abs(shift[i]), abs(turn[i]))
@@ -150,6 +166,7 @@ def compensate(g, order, r, q, axes):
         quat.multiply_into(q, small, near)
         quat.to_matrix_into(near, a)
         euler.from_matrix_into(a, order, axes.gimbal_rad)
+        euler.rate_jacobian_of_matrix_into(a, order, jacobian)
         quat.transform_back_into(near, g.arm, arm)
         for i in range(3):
             axes.rail_m[i] = r[i] - arm[i] - shift[i]
@@ -157,9 +174,9 @@ def compensate(g, order, r, q, axes):
         turn[i] -= known_turn[i]
         axes.rail_m[i] -= shift[i] - known_shift[i]
     _add_cross(turn, arm, axes.rail_m)
-    quat.transform_into(near, turn, turn)
-    euler.rate_jacobian_of_matrix_into(a, order, jacobian)
+    for i in range(3):
+        step[i] = a[i, 0] * turn[0] + a[i, 1] * turn[1] + a[i, 2] * turn[2]
     for i in range(3):
         axes.gimbal_rad[i] -= g.zero[i]
         for j in range(3):
-            axes.gimbal_rad[i] -= jacobian[i, j] * turn[j]
+            axes.gimbal_rad[i] -= jacobian[i, j] * step[j]

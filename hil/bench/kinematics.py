@@ -179,7 +179,11 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
 def _compensate_driven(params, r, q, axes):
     """Correct the positions of the driven axes for errors of the machine; rails also for what fixed gimbals leave."""
     shown, rest, attitude = stack.vector(3), stack.vector(3), stack.vector(4)
-    compensate(params.geometry, params.order, r, q, axes)
+    a, jacobian, arm = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(3)
+    quat.to_matrix_into(q, a)
+    euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
+    quat.transform_back_into(q, params.lever_arm, arm)
+    compensate(params.geometry, params.order, r, q, a, arm, jacobian, axes)
     for i in range(3):
         if params.fixed[3 + i] != 0:
             axes.gimbal_rad[i] = params.low[3 + i]
@@ -223,7 +227,7 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
         for j in range(3):
             axes.gimbal_radps[i] += jacobian[i, j] * w_CH_C[j]
     if params.geometry.enabled != 0:
-        compensate(params.geometry, params.order, r, q, axes)
+        compensate(params.geometry, params.order, r, q, a, arm, jacobian, axes)
 
 
 @kernel

@@ -26,8 +26,9 @@ def motion_digest(rig: Rig) -> str:
         if not table[key]:  # as before there were any
             del table[key]
     del table["vmu"]["drift_check"], table["host"]["cpu"]
-    if rig.floating is None:
-        del table["floating"]
+    for key in ("floating", "imu"):
+        if getattr(rig, key) is None:  # as before there were any
+            del table[key]
     for key, default in (("lab_axes", UNIT_AXES), ("rails_order", "xyz"), ("geometry_file", None)):
         if getattr(rig.bench, key) == default:  # as before there were any
             del table["bench"][key]

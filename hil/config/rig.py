@@ -25,6 +25,7 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
+from hil.config.tables.imu_wire import ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
@@ -846,6 +847,7 @@ class Rig(FileTable):
     telemetry: TelemetryTable = TelemetryTable()
     gnc_link: GncLink = GncLink()
     flight_computer: FlightComputer = FlightComputer()
+    imu: ImuWire | None = None
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
     arm: Arm | None = None
@@ -995,16 +997,12 @@ class Rig(FileTable):
 
     @model_validator(mode="after")
     def _an_arm_stands_for_both(self) -> Self:
-        drivers = {"rails": self.rails.driver, "turntable": self.turntable.driver}
-        expected = "mock" if self.kind == "mock" else "arm"
-        if self.arm is not None:
-            for key, driver in drivers.items():
-                if driver != expected:
-                    raise ValueError(f'{key}.driver = "{driver}": does not go with [arm], allowed "{expected}"')
-            if self.undriven or self.rails.controllers or self.turntable.controllers:
-                raise ValueError("arm: stands for six axes, allowed: none of them fixed or on a controller of its own")
-        elif "arm" in drivers.values():
-            raise ValueError('driver = "arm": needs the table [arm] of the robot')
+        allowed = "mock" if self.kind == "mock" else "arm"
+        for key, group in (("rails", self.rails), ("turntable", self.turntable)):
+            if self.arm is None and group.driver == "arm":
+                raise ValueError(f'{key}.driver = "arm": needs the table [arm] of the robot')
+            if self.arm is not None and group.driver != allowed:
+                raise ValueError(f'{key}.driver = "{group.driver}": does not go with [arm], allowed "{allowed}"')
         return self
 
     @model_validator(mode="after")
@@ -1128,9 +1126,11 @@ class Rig(FileTable):
         """Return the wires that the drivers open, also those without an address in the file."""
         wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
         lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
-        return wires + lines + self.flight_computer.wires()
+        gyros = [self.imu.wire()] if self.imu is not None and self.kind != "mock" else []
+        return wires + lines + gyros + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""
         wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        wires += [self.imu.wire()] if self.imu is not None else []
         return [wire.required_key for wire in wires if wire.address is None]

@@ -8,7 +8,15 @@ from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Positive
 
-COUNTS: Final = {"position": 3, "quaternion": 4, "euler": 3, "covariance": 21, "sigma_position": 3, "sigma_angle": 3}
+COUNTS: Final = {
+    "rate": 3,
+    "position": 3,
+    "quaternion": 4,
+    "euler": 3,
+    "covariance": 21,
+    "sigma_position": 3,
+    "sigma_angle": 3,
+}
 """Numbers of a field; one for the others."""
 REQUIRED: Final = ("counter", "time", "position")
 FieldName = Literal[
@@ -16,6 +24,7 @@ FieldName = Literal[
     "ignore",
     "counter",
     "time",
+    "rate",
     "position",
     "quaternion",
     "euler",
@@ -100,7 +109,7 @@ class TextForm(ConfigModel):
 
 
 class VmuFrame(ConfigModel):
-    """Pose frame: binary of constant length, sync, fields, checksum, or a line of text.
+    """Pose frame, with a field `rate` an IMU's: binary of constant length, sync, fields, checksum, or a line of text.
 
     The pose is that of the target's frame t in the left camera's frame v: ``p_v = R p_t + position``.
     """
@@ -157,6 +166,8 @@ class VmuFrame(ConfigModel):
         repeated = sorted({name for name in names if names.count(name) > 1} - {"constant", "ignore"})
         if repeated:
             raise ValueError(f"fields: {', '.join(repeated)}: more than once")
+        if "rate" in names:
+            return self._frame_of_an_imu(set(names))
         missing = [name for name in REQUIRED if name not in names]
         if missing:
             raise ValueError(f"fields: {', '.join(missing)}: missing")
@@ -175,6 +186,16 @@ class VmuFrame(ConfigModel):
             raise ValueError(f"euler_sequence {self.euler_sequence}: neighbouring axes must differ")
         if len(set(self.euler_sequence)) == 1:
             raise ValueError(f"euler_sequence {self.euler_sequence}: neighbouring axes must differ")
+        return self
+
+    def _frame_of_an_imu(self, names: set[str]) -> Self:
+        needed, other = {"counter", "time", "rate"}, {"status", "constant", "ignore"}
+        if missing := sorted(needed - names):
+            raise ValueError(f"fields: {', '.join(missing)}: missing")
+        if wrong := sorted(names - needed - other):
+            raise ValueError(f"fields: {', '.join(wrong)}: not of an IMU's frame, which has rate")
+        if self.rotation != "none":
+            raise ValueError(f'rotation "{self.rotation}": an IMU\'s frame has no pose, allowed "none"')
         return self
 
     def warnings(self) -> list[str]:

@@ -125,6 +125,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.guard(bench_s, run_zero_s)  #    bench guard
     loop.gnc.set_bench_check(now.bench_off[0], now.bench_breach[0], bool(state.gnc.approach.bench_disagrees))
     loop.vision.receive(bench_s)  # 3  poses from the vision unit
+    if loop.dss.gyros is not None:
+        loop.dss.gyros.measure()  #    those of the table, over the cycle that has just ended
     if loop.sensors is not None:
         loop.sensors.receive(t_s, bench_s, run_zero_s, loop.gnc)  #    further sensors, witnesses against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control

@@ -439,6 +439,7 @@ class Runner:
             self.source.close()
             if self.loop.sensors is not None:
                 self.loop.sensors.close()
+            self.loop.dss.close()
             self.loop.bench.close()
             self.loop.target.close()
             self.loop.safety_io.stop(self.rate.now_s())

@@ -68,6 +68,8 @@ class SessionParts:
     """Sinks of a recording by name; see ``hil.recording.sinks``."""
     sample_sources: list[SampleSource] = field(default_factory=list)
     """Sources of samples of further sensors."""
+    imu: Any = None
+    """Source of the rates of an IMU on a wire, None without one."""
     on_run_zero: list[Callable[[float], None]] = field(default_factory=list)
     """Called with the bench time of the run's time zero when it changes; nan while the run's time stops."""
     on_full: Callable[[np.ndarray], np.ndarray] | None = None

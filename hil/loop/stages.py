@@ -14,6 +14,7 @@ from hil.core.messages import ARRIVAL, IMU_SAMPLE, Array, PoseFrame
 from hil.drivers.base import Exposes, PoseSource
 from hil.frmn.ring import Telemetry
 from hil.loop import core
+from hil.loop.bench_gyros import BenchGyros
 from hil.loop.core_memory import CoreMemory
 from hil.maths.random_streams import NormalRows
 
@@ -23,8 +24,11 @@ _NO_ARRIVALS = np.zeros(0, ARRIVAL).view(np.recarray)
 class DssStage:
     """Dynamics simulation (DSS): truth and virtual IMU. imu_noise: one row per sample.
 
-    sample_sink: receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE.
+    sample_sink: receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE. ``gyros``: of the
+    bench, which the cycle reads in place of the virtual ones.
     """
+
+    gyros: BenchGyros | None = None
 
     def __init__(
         self, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None = None
@@ -40,6 +44,11 @@ class DssStage:
         samples = self._samples
         core.advance(self._params, self._state, self.field, self.noise.next_rows(len(samples)), samples)
         self._send_samples(k)
+
+    def close(self) -> None:
+        """Release the wire of the gyros."""
+        if self.gyros is not None:
+            self.gyros.close()
 
     def _send_samples(self, k: int) -> None:
         """Send the samples of cycle ``k`` to the sink."""

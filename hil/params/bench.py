@@ -17,7 +17,7 @@ from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
-from hil.core.messages import new
+from hil.core.messages import Array, new
 from hil.maths import linear, quat
 from hil.models.bodies import BODIES
 from hil.params.geometry import set_geometry
@@ -47,6 +47,12 @@ def bodies(
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
 _FREE = np.finfo(np.float32).max  # m, m/s, ...: no limit, and still a number
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
+
+
+def earth_rate(rig: Rig) -> Array:
+    """Return the rotation of the Earth against the stars in the axes of H as the bench has them, (3,), rad/s."""
+    of_lab = [math.radians(rate) for rate in rig.imu.earth_rate_degps] if rig.imu is not None else [0.0] * 3
+    return np.array([linear.total(rig.bench.lab_axes[i][k] * of_lab[i] for i in range(3)) for k in range(3)])
 
 
 def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:

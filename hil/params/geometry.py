@@ -10,7 +10,6 @@ from hil.core.messages import Array
 from hil.maths import quat
 
 _RAILS = "xyz"
-_ROTATION = slice(3, 6)
 
 
 def set_geometry(params: np.record, rig: Rig, vector: Array | None) -> None:
@@ -25,23 +24,28 @@ def set_geometry(params: np.record, rig: Rig, vector: Array | None) -> None:
         return
     of = parts_of(vector)
     params.lever_arm = np.array(rig.bench.lever_arm_m) + of["reference_m"]
-    g.arm, g.stack = params.lever_arm, [_RAILS.index(letter) for letter in rig.bench.rails_order]
+    g.arm = params.lever_arm
+    places = [rig.bench.rails_order.index(letter) for letter in _RAILS]
+    g.carries = [[place < other for other in places] for place in places]
     half = 0.5 * (params.high[:3] - params.low[:3])
     g.centre, g.inverse = params.low[:3] + half, [0.0 if each <= 0.0 else 1.0 / each for each in half]
     g.rail = 0.0
     for i, name in enumerate(_RAILS):
         if not g.inverse[i]:  # a fixed rail: its errors are those of its base
             continue
-        g.rail[i, i] = of[f"{name}_position_m"]
-        g.rail[i, _ROTATION] = of[f"{name}_rotation_deg"].reshape(3, 3)
+        g.rail[i, :, i] = of[f"{name}_position_m"]
+        g.rail[i, :, 3:] = of[f"{name}_rotation_deg"].reshape(3, 3).T
         across = [axis for axis in range(3) if axis != i]
-        g.rail[i, across, 1:] = of[f"{name}_straightness_m"].reshape(2, 2)
+        g.rail[i][1:, across] = of[f"{name}_straightness_m"].reshape(2, 2).T
     moves = g.inverse > 0.0
     g.squareness = of["squareness_deg"] * [moves[1], moves[2], moves[2]]
     outer, middle, inner = params.order
     g.zero[[outer, middle, inner]] = of["turntable_deg"][outer], of["middle_deg"][1], of["reference_deg"][inner]
     g.turntable_tilt, g.reference_tilt = of["turntable_deg"], of["reference_deg"]
     g.turntable_tilt[outer] = g.reference_tilt[inner] = 0.0
-    g.middle_tilt, g.middle_offset = of["middle_deg"][0], of["middle_m"][0]
-    g.inner_tilt, g.inner_offset = of["inner_deg"][0], of["inner_m"]
+    g.outer = 0.0
+    g.outer[outer] = 1.0
+    g.sign = sign = 1.0 if (middle - outer) % 3 == 1 else -1.0
+    g.middle_tilt, g.middle_offset = sign * of["middle_deg"][0], sign * of["middle_m"][0]
+    g.inner_tilt, g.inner_offset = sign * of["inner_deg"][0], of["inner_m"] * [sign, 1.0]
     g.base, g.q_base = of["base_m"], quat.from_rotation_vector(of["base_deg"])

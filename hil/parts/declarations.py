@@ -20,7 +20,7 @@ CORE: Final = Part(
         ),
         "init": PartCommand(
             "hil.cli.init:init",
-            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part.",
+            "Write a repository: scenario, rig, GNC in C and Python, test campaign, pipelines; or a part, or a driver.",
             "hil init approach",
         ),
         "preflight": PartCommand(
@@ -171,8 +171,8 @@ WIRES: Final = Part(
     modules=(
         "hil.drivers.arm.device", "hil.drivers.arm.entry",
         "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.datagrams", "hil.drivers.io.codec",
-        "hil.drivers.io.coupler",
-        "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",
+        "hil.drivers.imu", "hil.drivers.io.coupler", "hil.drivers.io.driver", "hil.drivers.io.entry",
+        "hil.drivers.line_sensor", "hil.drivers.loop_thread",
         "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.returned",
         "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.absent",
         "hil.drivers.vmu.codec", "hil.drivers.vmu.datagrams", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",

@@ -345,6 +345,7 @@ class RunResults(Results):
     manipulator: dict[str, Any] | None = row("largest angles, rates and errors of the rotary manipulator")
     held_axes: dict[str, Any] | None = row("largest distances of further axes from their places, m or deg, by name")
     sensors: dict[str, dict[str, Any]] | None = row("[further sensors](../../explanation/sensors.md) by name")
+    imu: dict[str, int] | None = row("of an IMU on a wire: frames, and those that could not be read, by reason")
     sign_off: dict[str, Any] | None = row("of the commissioning; null unless hardware")
     waived: list[dict[str, str]] = row("[waived protections](../../explanation/safety.md#what-can-be-waived)")
     events: list[dict[str, Any]] = row("list of `t_s`, `source`, `text`")

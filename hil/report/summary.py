@@ -99,6 +99,7 @@ def summarise(
         manipulator=measured.get("manipulator"),
         held_axes=measured.get("held_axes"),
         sensors=measured.get("sensors"),
+        imu=measured.get("imu"),
         sign_off=sign_off_summary(rig),
         waived=[waiver.as_json() for waiver in waivers(rig, scenario)],
         events=[{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],

@@ -33,6 +33,7 @@ from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.library import key_of, open_library
 from hil.gnc_backends.whole import WholeGnc
+from hil.loop.bench_gyros import BenchGyros
 from hil.loop.bench_stage import NO_INPUTS, BenchStage, SafetyInputs
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
@@ -224,7 +225,7 @@ def assemble(
     conditions = gnc.filter_monitor.conditions if gnc.filter_monitor is not None else None
     loop = Loop(
         memory=memory,
-        dss=_dss(job, memory, sinks.get("imu_samples"), measured),
+        dss=_dss(job, rig, memory, parts, measured),
         bench=stage,
         vision=VisionStage(devices.source, memory, *vision_sinks)
         if measured is None
@@ -439,7 +440,7 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def _dss(
-    job: Job, memory: CoreMemory, sample_sink: Telemetry | None, measured: MeasuredTruth | None = None
+    job: Job, rig: Rig, memory: CoreMemory, parts: SessionParts, measured: MeasuredTruth | None = None
 ) -> DssStage:
     """Return the dynamics simulation with this run's thruster errors, or the prediction of the ``measured`` truth.
 
@@ -449,8 +450,9 @@ def _dss(
     if measured is not None:
         return FloatingDss(memory, dynamics_params.field(scenario), noise, measured)
     stage = provided("models", "scenario") if scenario.models else lambda _, *parts: DssStage(*parts)
-    sink = sample_sink if job.scenario.value.imu_samples > 1 else None
+    sink = parts.sinks.get("imu_samples") if job.scenario.value.imu_samples > 1 else None
     made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink)
+    made.gyros = None if parts.imu is None else BenchGyros(parts.imu, rig, memory)
     return made
 
 

@@ -15,6 +15,7 @@ from hil.checks.lock_step import check_lock_step
 from hil.checks.observability import check_observability
 from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
+from hil.checks.wired_imu import check_wired_imu
 from hil.core.camera_images import ImageSink
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.operator_commands import Operator
@@ -36,6 +37,7 @@ def check(job: Job) -> None:
     problems = [
         *_found_by_parts("check_run", job),
         *check_floating(job.scenario, job.rig),
+        *check_wired_imu(job.scenario, job.rig),
         *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
         *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
         *compatibility.check_scenario_limits(job.scenario, job.rig),

@@ -86,7 +86,8 @@ def test_abort_and_retreat_have_the_same_bits() -> None:
 
 
 def test_dispersed_case_has_the_bits_of_the_cycle() -> None:
-    outcome, _, history, _, _ = both("scheme-2", (), 10.0, case=5)
+    wrong_bench = "dispersions.bench.errors.squareness_deg={kind='normal', sigma=0.05}"
+    outcome, _, history, _, _ = both("scheme-2", (wrong_bench,), 10.0, case=5)
     assert_same_bits(outcome.history, history, OF_DIGITAL_LINES)
 
 

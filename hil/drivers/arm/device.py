@@ -7,7 +7,7 @@ setpoints. A stop brakes all axes along their path and holds; the torque is the 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -71,26 +71,14 @@ def six_axes(rig: Rig) -> SixAxes:
     return SixAxes.model_construct(driver="arm", timeout_s=rig.arm.timeout_s, servo=rig.rails.servo, **axes)
 
 
-class BrakingRamp(NamedTuple):
-    """Braking from a point of the path, (6,) each, all axes in the same time, at most at their acceleration limits."""
-
-    position: Array
-    rate: Array
-    start_s: float
-    duration_s: float
-
-    @classmethod
-    def begin(cls, position: Array, rate: Array, start_s: float, acceleration_max: Array) -> BrakingRamp:
-        """Return the shortest ramp from a point with these rates."""
-        return cls(position, rate, start_s, float((np.abs(rate) / acceleration_max).max()))
-
-    def at(self, t_s: float) -> tuple[Array, Array]:
-        """Return position and rate at ``t_s``."""
-        t = min(max(0.0, t_s - self.start_s), self.duration_s)
-        if self.duration_s <= 0.0:
-            return self.position, 0.0 * self.rate
-        left = 1.0 - t / self.duration_s
-        return self.position + self.rate * t * 0.5 * (1.0 + left), self.rate * left
+def braking(position: Array, rate: Array, t_s: float, acceleration_max: Array) -> tuple[Array, Array]:
+    """Return position and rate (6,) ``t_s`` after braking has begun there: all axes in the same, the shortest time."""
+    duration_s = float((np.abs(rate) / acceleration_max).max())
+    if duration_s <= 0.0:
+        return position, rate
+    t_s = min(max(0.0, t_s), duration_s)
+    left = 1.0 - t_s / duration_s
+    return position + 0.5 * t_s * (1.0 + left) * rate, left * rate
 
 
 class ArmExchange:
@@ -106,12 +94,12 @@ class ArmExchange:
 
     def open(self) -> AxisFeedback:
         """Connect; return the present axes."""
-        self._ramp: BrakingRamp | None = None
+        self._ramp: tuple[Array, Array, float] | None = None  # where and how fast braking began, and when
         self._ending = self._ended = False
         self.error = None
         flange = call("arm", self._link.open)
         axes = self._kinematics.axes_of(flange, np.zeros(6))
-        self._delivered, self._rate, self._delivered_s = axes, np.zeros(6), flange.t_s
+        self.delivered = flange.t_s, axes, np.zeros(6)
         try:
             self._target = self._kinematics.target(axes, flange.t_s, flange.joints_rad)
         except Unreachable as error:
@@ -120,22 +108,17 @@ class ArmExchange:
         self._measured_s = flange.t_s
         return AxisFeedback(flange.t_s, axes, np.zeros(6), _HOMED)
 
-    @property
-    def due_s(self) -> float:
-        """Bench time for which the next setpoint is due."""
-        return self._link.due_s()
-
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
         """Answer the robot with the setpoint, or with the ramp of a stop; return its next feedback."""
-        due_s = self.due_s
+        due_s = self._link.due_s()
         if self._ramp is not None:
-            position, rate = self._ramp.at(due_s)
+            position, rate = braking(*self._ramp[:2], due_s - self._ramp[2], self._acceleration_max)
             if self._ending and not self._ended and not rate.any():
                 self._ended = True
                 self._link.stop(END)
         target = self._allowed(position, rate, due_s) or self._target
         if target is not self._target:
-            self._delivered, self._rate, self._delivered_s, self._target = position, rate, due_s, target
+            self.delivered, self._target = (due_s, position, rate), target
         flange = call("arm", self._link.exchange, target)
         return None if flange is None else self._feedback(flange)
 
@@ -144,13 +127,11 @@ class ArmExchange:
         before, model = self._target.joints_rad, self._kinematics
         try:
             target = model.target(position, due_s, before)
-            if self._ramp is None and due_s > self._delivered_s:
+            if self._ramp is None and due_s > self.delivered[0]:
                 assert before is not None
                 assert target.joints_rad is not None
-                model.model.check_rate(before, target.joints_rad, due_s - self._delivered_s)
-                model.target(
-                    BrakingRamp.begin(position, rate, 0.0, self._acceleration_max).at(math.inf)[0], due_s, before
-                )
+                model.model.check_rate(before, target.joints_rad, due_s - self.delivered[0])
+                model.target(braking(position, rate, math.inf, self._acceleration_max)[0], due_s, before)
             return target
         except Unreachable as refused:
             self.error = self.error or DeviceError("arm", str(refused))
@@ -159,13 +140,13 @@ class ArmExchange:
 
     def _brake(self, now_s: float) -> None:
         if self._ramp is None:
-            self._ramp = BrakingRamp.begin(self._delivered, self._rate, now_s, self._acceleration_max)
+            self._ramp = *self.delivered[1:], now_s
 
     def _feedback(self, flange: FlangePose) -> AxisFeedback:
-        axes = self._kinematics.axes_of(flange, self._delivered)
+        axes = self._kinematics.axes_of(flange, self.delivered[1])
         if not np.array_equal(axes, self._measured):
-            self._unchanged = self._delivered
-        elif np.any(np.abs(self._delivered - self._unchanged) > np.repeat(_FROZEN, 3)):
+            self._unchanged = self.delivered[1]
+        elif np.any(np.abs(self.delivered[1] - self._unchanged) > np.repeat(_FROZEN, 3)):
             raise ProtocolError("arm", "repeats its last pose while it is commanded to move")
         elapsed_s = flange.t_s - self._measured_s
         rate = (axes - self._measured) / elapsed_s if elapsed_s > 0.0 else np.zeros(6)
@@ -180,7 +161,7 @@ class ArmExchange:
 
     def quick_stop(self) -> None:
         """Brake all axes along their path, then hold."""
-        self._brake(self._delivered_s)
+        self._brake(self.delivered[0])
         self._link.stop(HOLD)
 
     def disable(self) -> None:
@@ -205,9 +186,13 @@ class ArmAxes(CyclicAxisGroup):
         table = six_axes(rig)
         self._acceleration_max = np.array([axis.limits[3] for axis in table.axes])
         super().__init__(table, clock, ArmExchange(rig, link, self._acceleration_max), "arm")
+        self._robot = link
         self._period_s = _PERIOD_S
         self._span: tuple[Array, Array, float] | None = None
         self.opened: set[str] = set()
+
+    def _due_s(self) -> float:
+        return self._robot.due_s()
 
     def set_period(self, period_s: float) -> None:
         """Expect a setpoint every ``period_s``."""
@@ -243,51 +228,43 @@ class ArmAxes(CyclicAxisGroup):
             raise self._link.error
         return super().read(now_s)
 
-    def _due_s(self) -> float:
-        return self._link.due_s
-
     def _wait(self, until_s: float) -> bool:
         """Return at once: the exchange waits for the robot."""
         return False
 
+    def _limited(self, position: Array, rate: Array, sent_s: float, now_s: float) -> tuple[Array, Array]:
+        """Return what to deliver now: after a gap the axes catch up from what was delivered last."""
+        last_s, *last = self._link.delivered
+        axes = zip(self._limiters, position.tolist(), rate.tolist(), *(each.tolist() for each in last), strict=True)
+        limited = np.array([limiter.next(p, v, sent_s, now_s, (last_s, q, u)) for limiter, p, v, q, u in axes])
+        return limited[:, 0], limited[:, 1]
+
     def _next_setpoint(self, now_s: float) -> tuple[Array, Array]:
         """Return position and rate due at ``now_s``: within the span of the last two setpoints, or braking after it."""
-        setpoint, span, period_s = self._setpoint, self._span, self._period_s
-        position, rate, sent_s = setpoint
-        fraction = (now_s - sent_s) / period_s
-        if fraction > 1.0 + _LATE:
-            start = position + _LATE * period_s * rate
-            ramp = BrakingRamp.begin(start, rate, sent_s + (1.0 + _LATE) * period_s, self._acceleration_max)
-            position, rate = ramp.at(now_s)
-        elif fraction >= 1.0 or span is None:
-            position = position + (now_s - sent_s - period_s) * rate
-        else:
-            position, rate = _within(span, setpoint, max(0.0, fraction), period_s)
+        (b, v, sent_s), span, h = self._setpoint, self._span, self._period_s
+        s = (now_s - sent_s) / h
+        if s > 1.0 + _LATE:
+            position, rate = braking(b + _LATE * h * v, v, (s - 1.0 - _LATE) * h, self._acceleration_max)
+        elif s >= 1.0 or span is None:
+            position, rate = b + (s - 1.0) * h * v, v
+        else:  # cubic Hermite interpolation
+            a, u, s = span[0], span[1], max(0.0, s)
+            position = a + (3.0 - 2.0 * s) * s * s * (b - a) + h * s * (1.0 - s) * ((1.0 - s) * u - s * v)
+            rate = 6.0 * s * (1.0 - s) * (b - a) / h + (1.0 - s) * (1.0 - 3.0 * s) * u + s * (3.0 * s - 2.0) * v
         return self._limited(position, rate, sent_s, now_s)
-
-
-def _within(
-    begin: tuple[Array, Array, float], end: tuple[Array, Array, float], s: float, h: float
-) -> tuple[Array, Array]:
-    """Return position and rate at the fraction ``s`` of a period of ``h``: cubic Hermite interpolation."""
-    a, u, b, v = begin[0], begin[1], end[0], end[1]
-    position = a + (3.0 - 2.0 * s) * s * s * (b - a) + h * s * (1.0 - s) * ((1.0 - s) * u - s * v)
-    rate = 6.0 * s * (1.0 - s) * (b - a) / h + (1.0 - s) * (1.0 - 3.0 * s) * u + s * (3.0 * s - 2.0) * v
-    return position, rate
 
 
 class ArmPart:
     """AxisGroup of three axes of the robot. The device is open while one of its parts is."""
 
-    def __init__(self, axes: ArmAxes, name: str, table: AxisGroupTable, first: int, other: ArmPart | None) -> None:
+    def __init__(self, axes: ArmAxes, name: str, table: AxisGroupTable, parts: list[ArmPart]) -> None:
         self.name = name
         self._limits = SetpointLimits(name, table)
         self.axis_names = self._limits.names
-        self._axes, self._of, self._other = axes, slice(first, first + 3), other
+        self._axes, self._parts, self._of = axes, parts, slice(3 * len(parts), 3 * len(parts) + 3)
         self.given: tuple[Array, Array, float] | None = None
         """Setpoint that waits for the other part's."""
-        if other is not None:
-            other._other = self
+        parts.append(self)
 
     def open(self, now_s: float) -> None:
         """Connect to the robot, unless the other part has done so. Raises DeviceError."""
@@ -316,12 +293,10 @@ class ArmPart:
         """Set the axes of this part; they go to the robot with those of the other part of the same time."""
         accepted, accepted_rate = self._limits.accepted(position, rate, self._axes.jogging)
         self.given = accepted, accepted_rate, now_s
-        other = self._other
-        assert other is not None
-        if other.given is None or other.given[2] != now_s:
+        given = [part.given for part in self._parts if part.given is not None and part.given[2] == now_s]
+        if len(given) < len(self._parts):
             return accepted
-        parts = sorted((self, other), key=lambda part: part._of.start)
-        six = [np.concatenate([part.given[k] for part in parts if part.given is not None]) for k in (0, 1)]
+        six = [np.concatenate([each[k] for each in given]) for k in (0, 1)]
         return np.array(self._axes.send(six[0], six[1], now_s)[self._of])
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -352,5 +327,5 @@ def make_arm(rig: Rig, clock: BenchClock) -> dict[str, AxisGroup]:
     """Return rails and turntable of the robot of ``rig``."""
     assert rig.arm is not None
     axes = ArmAxes(rig, clock, rig.arm.make_driver(clock, "arm"))
-    rails = ArmPart(axes, "rails", rig.rails, 0, None)
-    return {"rails": rails, "turntable": ArmPart(axes, "turntable", rig.turntable, 3, rails)}
+    parts: list[ArmPart] = []
+    return {name: ArmPart(axes, name, rig.axis_groups[name], parts) for name in ("rails", "turntable")}

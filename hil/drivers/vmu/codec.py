@@ -26,12 +26,16 @@ _EIGENVALUE_TOLERANCE: Final = 1e-5  # tolerance of the correlations: the wire h
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """An intact frame. t_s: exposure, s of bench time; ``pose`` is None unless status is good, or POSITION_ONLY."""
+    """An intact frame. t_s: exposure, s of bench time; ``pose`` is None unless status is good, or POSITION_ONLY.
+
+    rate: of an IMU's frame with good status, (3,), rad/s.
+    """
 
     counter: int
     t_s: float
     status: int
     pose: PoseFrame | None
+    rate: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

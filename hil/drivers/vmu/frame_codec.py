@@ -78,6 +78,10 @@ class FrameCodec:
             values["euler"] = euler_angles(quat.to_matrix(q).T, self.frame.euler_sequence)
         return self._pack(pose.counter, pose.t_s, values, status)
 
+    def encode_rate(self, counter: int, t_s: float, rate: Array) -> bytes:
+        """Return the bytes of an IMU's ``rate``, (3,), rad/s, measured at ``t_s``."""
+        return self._pack(counter, t_s, {"rate": rate}, self.frame.status.good)
+
     def encode_status(self, counter: int, t_s: float, status: int) -> bytes:
         """Return the bytes of a frame without pose; a frame without a field for the status is empty."""
         if "status" not in self._names:
@@ -220,6 +224,8 @@ class FrameDecoder:
             return Decoded(counter, t_s, STATUS_NO_POSE, None)
         if status not in (frame.status.good, frame.status.position):
             return Decoded(counter, t_s, max(status & 0xFF, STATUS_NO_POSE + 1), None)
+        if (rate := values.get("rate")) is not None:
+            return Decoded(counter, t_s, STATUS_GOOD, None, rate) if np.isfinite(rate).all() else None
         q_vt = self._quaternion(values)
         if q_vt is None:
             return None

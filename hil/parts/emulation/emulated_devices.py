@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
+from hil.config.tables.imu_wire import UDP
 from hil.config.tables.sensors import device_of
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
@@ -141,7 +142,8 @@ def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     parts = rig.vmu.entry.emulated_parts if rig.has_vmu else ()
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"] if rig.has_vmu else []
     tracker = rig.table_of_part("tracker") is not None
-    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera", "tracker": tracker}
+    television = scenario.monitor.source == "camera"
+    more = {"io": rig.has_io, "monitor": television, "tracker": tracker, "imu": rig.imu is not None}
     return (*vision, *(device for device, is_there in more.items() if is_there))
 
 
@@ -160,6 +162,9 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
         tables["io"] = rig.io.connected("io", addresses)
     if (tracker := rig.table_of_part("tracker")) is not None:
         tables["tracker"] = tracker.connected(addresses["tracker"])
+    if rig.imu is not None:
+        scheme = UDP if (rig.imu.port or "").startswith(UDP) else ""
+        tables["imu"] = rig.imu.model_copy(update={"port": scheme + addresses["imu"]})
     lines = {
         name.removeprefix("sensor."): SensorLine(port=address)
         for name, address in addresses.items()

@@ -18,9 +18,9 @@ _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is droppe
 
 
 class SensorDatagrams(NamedTuple):
-    """Wire of a sensor on UDP. encode: returns the datagram of a measurement by its bench time, s, and components."""
+    """Wire of a sensor with frames of its own. encode: returns one by bench time, s, and measured components."""
 
-    wire: DatagramSender
+    wire: DatagramSender | PtyLine
     encode: Callable[[float, Sequence[float]], bytes]
 
 

@@ -79,6 +79,10 @@ def make_emulator(configuration: Message) -> Emulator:
         from hil.parts.emulation.trackers import emulated_tracker
 
         return emulated_tracker(scenario, rig, seed, board, clock)
+    if device == "imu":
+        from hil.parts.emulation.imu import emulated_imu
+
+        return emulated_imu(scenario, rig, seed, board, clock)
     if device == "sensor":
         from hil.parts.emulation.emulated_vision import emulated_sensor
 

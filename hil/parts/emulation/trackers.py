@@ -259,7 +259,7 @@ def emulated_tracker(
 ) -> TrackerEmulator:
     """Return the emulator of the tracker of ``rig``, which sees the axes of ``board``."""
     config: Tracker = rig.table_of_part(NAME)
-    bench, seen = bench_params.bench(rig, scenario.step_s, scenario.bench), seen_axes(scenario, rig, board)
+    bench, seen = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench), seen_axes(scenario, rig, board)
 
     def true_pose(t_s: float) -> tuple[np.ndarray, np.ndarray]:
         return pose_of(bench, np.concatenate(seen(t_s)))

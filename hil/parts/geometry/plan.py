@@ -20,7 +20,7 @@ from hil.parts.geometry.model import MachineModel
 from hil.parts.geometry.observations import AXIS_COLUMNS
 from hil.parts.vision.view_plan import IsClear, short_way
 
-_CANDIDATES: Final = 500
+_CANDIDATES: Final = 5  # per pose
 _TRIES: Final = 40  # per candidate
 _TRAVEL_MARGIN: Final = 0.01  # fraction of the travel
 _POLE: Final = 1.31  # rad, largest angle of the middle gimbal
@@ -59,7 +59,7 @@ def plan_poses(
     bench: BENCH_PARAMS. sigmas: (6,) of each source. proposals: of candidates, in turn. Raises BadInput if too few can
     be reached.
     """
-    candidates = _candidates(bench, proposals, is_clear, rng)
+    candidates = _candidates(bench, _CANDIDATES * count, proposals, is_clear, rng)
     if len(candidates) < count:
         text = f"{len(candidates)} poses within travel and guard volume, {count} are required"
         raise BadInput.single("--poses", "", text)
@@ -96,14 +96,16 @@ def _travel(bench: np.record) -> tuple[Array, Array]:
     return low, high
 
 
-def _candidates(bench: np.record, proposals: Sequence[Proposal], is_clear: IsClear, rng: np.random.Generator) -> Array:
+def _candidates(
+    bench: np.record, count: int, proposals: Sequence[Proposal], is_clear: IsClear, rng: np.random.Generator
+) -> Array:
     low, high = _travel(bench)
     candidates: list[Array] = []
-    for k in range(_TRIES * _CANDIDATES):
+    for k in range(_TRIES * count):
         axes = proposals[k % len(proposals)](rng)
         if (axes >= low).all() and (axes <= high).all() and is_clear(axes, axes):
             candidates.append(axes)
-            if len(candidates) == _CANDIDATES:
+            if len(candidates) == count:
                 break
     return np.array(candidates).reshape(-1, 6)
 

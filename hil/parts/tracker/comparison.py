@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.maths import linear, quat
+from hil.params.bench_budget import BenchSigma
 from hil.parts.tracker.encoder_poses import EncoderPoses, Moment, difference
 from hil.parts.tracker.frames import BodyPose, Mounting, TrackedFrame
 from hil.parts.tracker.table import Tracker
@@ -23,6 +24,8 @@ _LEAST: Final = 5  # samples in it
 _MEASURED: Final = 50  # frames by which a body that stands is measured
 _EARLY_S: Final = 2e-3  # by which a moment may be in the future
 _INDEPENDENT: Final = 4.0  # samples of a window, whose noise is correlated
+_LOCAL: Final = 0.3  # part of what the bench is worth that may change within a second
+_SINGLE: Final = 0.8  # part of a difference that the error of a single axis explains at least
 _NAN: Final = np.full(6, np.nan)
 
 
@@ -52,6 +55,15 @@ class ComparedSample(NamedTuple):
     pose: tuple[Array, Array] | None = None
 
 
+class WindowSample(NamedTuple):
+    """Sample of a body, or a mean. off: (6,), m and rad. rate: (6,), of the bench. sigma_m: of the tracker."""
+
+    t_s: float
+    off: Array
+    rate: Array
+    sigma_m: float
+
+
 class Deviation(NamedTuple):
     """Mean difference of a body over ``WINDOW_S``, (6,), and its bounds, m and rad."""
 
@@ -71,10 +83,13 @@ class Deviation(NamedTuple):
 
 
 class BenchComparison:
-    """Frames of a tracker against the poses of the encoders, and of bodies that stand against where they stood."""
+    """Frames of a tracker against the poses of the encoders, and of bodies that stand against where they stood.
 
-    def __init__(self, table: Tracker, encoders: EncoderPoses) -> None:
-        self._table, self.encoders = table, encoders
+    worth: what these poses are worth by a measured geometry; None: what the table states.
+    """
+
+    def __init__(self, table: Tracker, encoders: EncoderPoses, worth: BenchSigma | None = None) -> None:
+        self._table, self.encoders, self._worth = table, encoders, worth
         self._mountings = {role: Mounting.of(b.position_m, b.rotation_deg) for role, b in table.bodies.items()}
         self._stood: dict[str, tuple[Array, Array]] = {}  # r in W, and W to its axes, of a body that stands
         self._first: dict[str, list[tuple[Array, Array]]] = {role: [] for role in table.bodies if role != "chaser"}
@@ -83,7 +98,7 @@ class BenchComparison:
         if table.frame is not None:
             given = Mounting.of(table.frame.position_m, table.frame.rotation_deg)
             self._frame = given.position, given.q
-        self._windows: dict[str, deque[tuple[float, Array, float]]] = {role: deque() for role in table.bodies}
+        self._windows: dict[str, deque[WindowSample]] = {role: deque() for role in table.bodies}
         self._outlier_since: dict[str, float] = {}
         self._moment: Moment | None = None
         self._places: list[bytes] = []
@@ -147,7 +162,8 @@ class BenchComparison:
                 states[role] = SampleStatus.OUTLIER
             elif off is not None:
                 sigma = max(self._table.sigma_m, bodies[role].error_m)
-                self._windows[role].append((t_s, off, sigma))
+                rate = moment.rate if role == "chaser" else np.zeros(6)
+                self._windows[role].append(WindowSample(t_s, off, rate, sigma))
             elif role in self._first:
                 self._measure_body(role, bodies[role])
         if states["chaser"] is not SampleStatus.OK:
@@ -243,35 +259,56 @@ class BenchComparison:
             self._stood[role] = position + mean[:3], quat.multiply(quat.from_rotation_vector(mean[3:]), q)
 
     def deviations(self, now_s: float) -> dict[str, Deviation]:
-        """Return the mean difference of each body with enough samples in the last ``WINDOW_S``, by its role."""
-        found = {}
+        """Return the mean difference of each body in the last ``WINDOW_S``, by its role, or the change of that mean
+        within a second if it is farther beyond its own bound."""
+        found: dict[str, Deviation] = {}
+        moment = self._moment
+        if moment is None:
+            return found
+        worth = self._worth_at(moment)
         for role, window in self._windows.items():
-            while window and window[0][0] < now_s - WINDOW_S:
+            while window and window[0].t_s < now_s - 3.0 * WINDOW_S:
                 window.popleft()
-            if len(window) >= _LEAST and self._moment is not None:
-                mean = np.array([off for _, off, _ in window]).mean(axis=0)
-                sigma = linear.total(each for *_, each in window) / len(window)
-                found[role] = Deviation(mean, self.bounds(sigma, self._moment))
+            now = _mean([each for each in window if each.t_s > now_s - WINDOW_S])
+            before = _mean([each for each in window if each.t_s < now_s - 2.0 * WINDOW_S])
+            if now is None:
+                continue
+            deviations = [Deviation(now.off, self._bounds(now.sigma_m, worth, moment.rate, moment.r))]
+            if before is not None:
+                sigma, rate = math.sqrt(2.0) * now.sigma_m, now.rate - before.rate
+                bounds = self._bounds(sigma, (_LOCAL * worth[0], _LOCAL * worth[1]), rate, np.zeros(3))
+                deviations.append(Deviation(now.off - before.off, bounds))
+            found[role] = max(deviations, key=lambda each: each.excess)
         self._is_beyond = any(each.excess > 1.0 for each in found.values())
         return found
 
-    def bounds(self, sigma_m: float, moment: Moment) -> tuple[float, float]:
-        """Return the bounds of a mean difference at ``moment``, m and rad. sigma_m: of the samples of the tracker."""
-        table, late_s = self._table, self.latency.sigma_s
-        of_bench, of_bench_rad = table.bench_sigma_m, math.radians(table.bench_sigma_deg)
-        sigma_rad = math.radians(table.sigma_deg)
-        position = (of_bench, self._frame_sigma * linear.length(moment.r), late_s * linear.length(moment.rate[:3]))
-        attitude = (of_bench_rad, self._frame_sigma, late_s * linear.length(moment.rate[3:]))
-        return (
-            table.bound_sigmas * _root(sigma_m * sigma_m / _INDEPENDENT, position),
-            table.bound_sigmas * _root(sigma_rad * sigma_rad / _INDEPENDENT, attitude),
+    def _worth_at(self, moment: Moment) -> tuple[float, float]:
+        """Return what a pose by the encoders is worth at ``moment``, 1 sigma, m and rad."""
+        if self._worth is None:
+            return self._table.bench_sigma_m, math.radians(self._table.bench_sigma_deg)
+        sigmas = self._worth(moment.axes[:3], moment.axes[3:])
+        return float(sigmas.sigma_m.max()), math.radians(sigmas.sigma_deg.max())
+
+    def _bounds(self, sigma_m: float, worth: tuple[float, float], rate: Array, r: Array) -> tuple[float, float]:
+        """Return the bounds of a mean difference, m and rad. sigma_m: of a sample of the tracker. worth: of the bench.
+
+        rate: (6,), with which an unknown latency displaces. r: (3,), m, over which H of the tracker is rotated.
+        """
+        scale, late_s = sigma_m / self._table.sigma_m, self.latency.sigma_s
+        sigmas = self._table.sigma_m, math.radians(self._table.sigma_deg)
+        rates = linear.length(rate[:3]), linear.length(rate[3:])
+        of_frame = self._frame_sigma * linear.length(r), self._frame_sigma if r.any() else 0.0
+        position, attitude = (
+            _root(scale * sigmas[k] / math.sqrt(_INDEPENDENT), worth[k], of_frame[k], late_s * rates[k]) for k in (0, 1)
         )
+        return self._table.bound_sigmas * position, self._table.bound_sigmas * attitude
 
     def sigmas(self) -> Array:
         """Return the standard deviation of a mean difference at the last sample, (6,), m and rad; nan without one."""
         if self._moment is None:
             return _NAN
-        position, attitude = self.bounds(self._table.sigma_m, self._moment)
+        moment = self._moment
+        position, attitude = self._bounds(self._table.sigma_m, self._worth_at(moment), moment.rate, moment.r)
         return np.repeat((position, attitude), 3) / self._table.bound_sigmas
 
     def cause(self, found: Mapping[str, Deviation], axis_names: tuple[str, ...]) -> str:
@@ -291,13 +328,24 @@ class BenchComparison:
         assert self._moment is not None
         off = np.nan_to_num(chaser.mean)
         axis, error, part = self.encoders.blame(self._moment.axes, off, self.sigmas())
+        if part < _SINGLE:
+            shown = " ".join(f"{1e3 * each:+.2f}" for each in off[:3])
+            return f"no single axis explains it: the base of the rails, or the geometry, off by {shown} mm in H"
         shown = f"{1e3 * error:+.2f} mm" if axis < 3 else f"{math.degrees(error):+.3f} deg"
         return f"{axis_names[axis]} or its base: {shown} explains {100.0 * part:.0f} %"
 
 
-def _root(first: float, others: tuple[float, ...]) -> float:
-    """Return the root of ``first`` and of the squares of ``others``."""
-    return math.sqrt(first + linear.total(each * each for each in others))
+def _root(*values: float) -> float:
+    """Return the root of the sum of squares."""
+    return linear.length(values)
+
+
+def _mean(samples: list[WindowSample]) -> WindowSample | None:
+    """Return the mean of enough samples, None of fewer."""
+    if len(samples) < _LEAST:
+        return None
+    off, rate = (np.array(each).mean(axis=0) for each in ([s.off for s in samples], [s.rate for s in samples]))
+    return WindowSample(samples[-1].t_s, off, rate, linear.total(each.sigma_m for each in samples) / len(samples))
 
 
 def _is_alike(one: Deviation, other: Deviation) -> bool:

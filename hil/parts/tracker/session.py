@@ -23,7 +23,8 @@ from hil.loop.outcome import Outcome
 from hil.loop.runner import Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.params import bench as bench_params
-from hil.parts.tracker.comparison import BenchComparison, ComparedSample, Deviation
+from hil.params.bench_budget import BenchSigma
+from hil.parts.tracker.comparison import WINDOW_S, BenchComparison, ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
 from hil.parts.tracker.frames import TrackedFrame, TrackerSource
 from hil.parts.tracker.mock import MockTracker
@@ -34,6 +35,7 @@ from hil.session.assembly import Job
 
 NAME: Final = "tracker"
 _WAITING: Final = 64  # frames that wait for the encoders
+_PER_CYCLE: Final = 4  # frames that are compared
 _ROWS_MAX: Final = 200_000  # that are kept in memory
 _JUDGED_EACH: Final = 5  # cycles
 _SILENT_S: Final = 2.0
@@ -83,7 +85,8 @@ class TrackerWatch:
         self._job, self._clock = job, parts.clock
         scenario = job.scenario.value
         self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
-        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s))
+        worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
+        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s), worth)
         self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
@@ -92,7 +95,7 @@ class TrackerWatch:
         self._statistics = TruthStatistics(self._bench, scenario.step_s)
         self._source: TrackerSource | None = None
         self._alarm = ""
-        self._off = False
+        self._off, self._beyond_s = False, math.nan  # last time with all differences within their bounds
         self._first_s = math.nan
         self._cycles = 0
         self._kept: list[np.ndarray] = []
@@ -118,15 +121,15 @@ class TrackerWatch:
         rails, turntable = runner.loop.bench.rails, runner.loop.bench.turntable
         assert isinstance(rails, MockAxes)
         assert isinstance(turntable, MockAxes)
-        servos = rails.servo, turntable.servo
+        servos, as_built = (rails.servo, turntable.servo), kernel_record(runner.loop.memory.params.mock.bench)
 
         def true_pose(_: float) -> tuple[Array, Array]:
-            return pose_of(self._bench, np.concatenate([servo.position for servo in servos]))
+            return pose_of(as_built, np.concatenate([servo.position for servo in servos]))
 
         self._source = MockTracker(self._config, self._job.seed, true_pose)
 
     def put(self, row: np.ndarray) -> None:
-        """Pass ``row``, (1,) of CYCLE, on, and compare the newest frame whose moment its encoders have reached."""
+        """Pass ``row``, (1,) of CYCLE, on, and compare the newest frames whose moments its encoders have reached."""
         self._rows.put(row)
         if self._source is None:
             return
@@ -136,12 +139,13 @@ class TrackerWatch:
             self._source.run_zero_s = self._zero_s
         for frame in self._source.poll(now_s):
             self._waiting.append((self.comparison.moment_of(frame), frame))
-        due = None
+        due: deque[tuple[float, TrackedFrame]] = deque(maxlen=_PER_CYCLE)
         while self._waiting and self.comparison.is_due(*self._waiting[0]):
-            due = self._waiting.popleft()
-        if due is not None and (sample := self.comparison.compare(due[1], due[0])) is not None:
-            self._statistics.add(sample)
-            self._record(sample)
+            due.append(self._waiting.popleft())
+        for late_s, frame in due:
+            if (sample := self.comparison.compare(frame, late_s)) is not None:
+                self._statistics.add(sample)
+                self._record(sample)
         self._cycles += 1
         if self._cycles % _JUDGED_EACH == 0:
             self._judge(now_s)
@@ -156,9 +160,9 @@ class TrackerWatch:
             | {"latency_ms": 1e3 * comparison.latency.value_s, "latency_sigma_ms": 1e3 * comparison.latency.sigma_s},
             "alarm": self._alarm or None,
         }
-        withheld = self._alarm or ("" if comparison.counts["ok"] else "no sample of the tracker could be compared")
+        withheld = self._alarm or ("" if comparison.counts["ok"] else "tracker: no sample could be compared")
         rows = np.concatenate([np.zeros(0, SAMPLE), *self._kept])
-        return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld and f"tracker: {withheld}")
+        return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld)
 
     def close(self) -> None:
         """Release the tracker."""
@@ -204,7 +208,9 @@ class TrackerWatch:
             return
         self._statistics.add_deviation(found.get("chaser"), self.comparison.sigmas())
         largest = max(judged.values(), key=lambda each: each.excess)
-        if largest.excess > 1.0 and not self._off:
+        if largest.excess <= 1.0 or math.isnan(self._beyond_s):
+            self._beyond_s = now_s
+        if now_s - self._beyond_s >= WINDOW_S and not self._off:  # then the means have its whole size
             self._raise(now_s, largest, self.comparison.cause(found, self._axis_names))
         elif largest.excess < _RECOVERED and self._off:
             self._off = False

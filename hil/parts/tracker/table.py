@@ -112,7 +112,7 @@ class Tracker(ConfigModel):
     sigma_deg: Positive = 0.02
     """The same of an attitude."""
     bench_sigma_m: NotNegative = 0.0003
-    """What the bench's own pose is worth: encoders, geometry and mounting of the bodies, per axis."""
+    """What the bench's own pose is worth, per axis, if no `bench.geometry_file` gives it."""
     bench_sigma_deg: NotNegative = 0.02
     """The same of its attitude."""
     bound_sigmas: Annotated[float, Field(ge=3.0, le=20.0)] = 5.0

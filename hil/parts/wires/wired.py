@@ -19,6 +19,7 @@ from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
 from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
 from hil.core.stacks import place_in
+from hil.drivers.imu.driver import WiredImu
 from hil.drivers.remote.io_layout import IO
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.wire_lock import locked_wires
@@ -178,6 +179,10 @@ class WiredBench:
             *open_datagrams(scenario, self.clock),
             *line_sensors(scenario, self.rig, self.clock),
         ]
+        if self.rig.imu is not None:
+            parts.imu = imu = WiredImu(self.rig.imu, scenario.step_s, self.clock)
+            parts.before_open.append(imu.wait_first)
+            parts.meters["imu"] = imu.numbers
         return assemble(self.job, self.rig, rate, self.devices, parts)
 
 

@@ -37,7 +37,8 @@ class EmulatedRobot:
         )
         self._names = names
         self._coming: deque[tuple[float, Array, Array]] = deque()
-        self._given: Array | None = None
+        self.given: Array | None = None
+        """Six axes of the last pose that the controller was given, (6,); None while it brakes."""
         self._joints: Array | None = None
 
     @property
@@ -65,8 +66,8 @@ class EmulatedRobot:
     def follow(self, flange: FlangePose, now_s: float, period_s: float) -> None:
         """Take the next pose of the controller, ``period_s`` after the last one."""
         axes = self._kinematics.axes_of(flange, self.axes)
-        rate = np.zeros(6) if self._given is None else (axes - self._given) / period_s
-        self._given = axes
+        rate = np.zeros(6) if self.given is None else (axes - self.given) / period_s
+        self.given = axes
         self._coming.append((now_s + self.lag_s, axes, rate))
 
     def follow_joints(self, joints: Array, now_s: float, period_s: float) -> None:
@@ -77,7 +78,7 @@ class EmulatedRobot:
     def brake(self) -> None:
         """Brake all axes at their acceleration limits, then hold."""
         self._coming.clear()
-        self._given = None
+        self.given = None
         for group in self._groups:
             for axis in range(len(group.names)):
                 group.brake(axis)

@@ -117,6 +117,8 @@ def test_no_other_rig_needs_one(rig: str) -> None:
         "rig.turntable.cia402.counts_per_turn=10000001",
         "rig.bench.lever_arm_m=[0.0, 0.0, 0.36]",
         "rig.bench.gimbal_order=zxy",
+        "rig.bench.rails_order=zyx",
+        "rig.bench.geometry_file=measured.toml",
         "rig.rails.map.word_order=little",
         "rig.rails.modbus.x.port=1502",
         "rig.io.pump_timeout_s=0.06",
@@ -136,7 +138,15 @@ def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: 
 
 
 @pytest.mark.parametrize(
-    "change", ["rig.rails.x.lead_s=-0.01", "rig.name=other", "rig.host.cpu=1", "rig.console.on_loss=stop"]
+    "change",
+    [
+        "rig.rails.x.lead_s=-0.01",
+        "rig.name=other",
+        "rig.host.cpu=1",
+        "rig.console.on_loss=stop",
+        "rig.bench.errors.seed=1",
+        "rig.bench.thermal_sigma_m=1e-4",
+    ],
 )
 def test_change_of_anything_else_does_not(lab: Path, change: str) -> None:
     assert check_sign_off(load_rig(str(signed(lab)), [change])) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,9 +20,11 @@ from hil.parts.geometry.model import rotations_between
 from hil.parts.geometry.observations import read_observations
 from hil.parts.geometry.plan import read_plan
 from hil.session.build import Job, runner
+from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
 
+SHORT = "rig.rails.x.travel_m=[-0.2, 8.0]"
 ERRORS = ("--set", "rig.bench.errors.seed=5")
-POSES = 90
+POSES = 48
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +32,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with plan, observations and geometry file of a mock rig that is built wrong."""
     folder = tmp_path_factory.mktemp("geometry")
     plan, rows, geometry = folder / "plan.csv", folder / "rows.csv", folder / "geometry.toml"
-    assert execute(["geometry", "plan", "mock", "-o", str(plan), "--poses", str(POSES)]) == 0
-    measure = ["geometry", "measure", str(plan), "--rig", "mock", "-o", str(rows), *ERRORS, "--average-s", "0.5"]
+    assert execute(["geometry", "plan", "mock", "-o", str(plan), "--poses", str(POSES), "--set", SHORT]) == 0
+    measure = [
+        "geometry",
+        "measure",
+        str(plan),
+        "--rig",
+        "mock",
+        "-o",
+        str(rows),
+        "--set",
+        SHORT,
+        *ERRORS,
+        "--average-s",
+        "0.5",
+    ]
     assert execute(measure) == 0
-    assert execute(["geometry", "fit", str(rows), "--rig", "mock", "-o", str(geometry)]) == 0
+    assert execute(["geometry", "fit", str(rows), "--rig", "mock", "-o", str(geometry), "--set", SHORT]) == 0
     return folder
 
 
 def job(*settings: str) -> Job:
     scenario = load_scenario("scheme-1", settings)
-    return Job(scenario, load_rig("mock", settings), 1, 20.0, 1.0)
+    return Job(scenario, load_rig("mock", [SHORT, *settings]), 1, 20.0, 1.0)
 
 
 def off_truth(settings: list[str]) -> tuple[float, float]:
@@ -92,9 +108,18 @@ def test_a_machine_built_wrong_is_right_with_its_geometry_file(folder: Path) -> 
     assert after[1] < np.radians(0.005)
 
 
+def test_the_compiled_loop_compensates_with_the_bits_of_the_cycle(folder: Path) -> None:
+    histories = []
+    for compiled in (True, False):
+        made = job(ERRORS[1], f"rig.bench.geometry_file={folder / 'geometry.toml'}")
+        with runner(replace(made, duration_s=3.0, compiled=compiled)) as run:
+            histories.append(run.run().history)
+    assert_same_bits(histories[1], histories[0], OF_DIGITAL_LINES)
+
+
 def test_the_drift_check_of_the_same_bench_passes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     geometry = f"rig.bench.geometry_file={folder / 'geometry.toml'}"
-    words = ["--rig", "mock", "--set", geometry, "--json", "-", "--chart", str(folder / "chart.csv")]
+    words = ["--rig", "mock", "--set", SHORT, "--set", geometry, "--json", "-", "--chart", str(folder / "chart.csv")]
     capsys.readouterr()
     code = execute(["geometry", "check", str(folder / "rows.csv"), *words])
     result = json.loads(capsys.readouterr().out)

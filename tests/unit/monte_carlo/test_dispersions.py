@@ -70,6 +70,14 @@ def test_matrix_is_spread_as_a_whole() -> None:
     assert factor != 1.0
 
 
+def test_a_wrong_bench_is_dispersed_as_wrong_cameras_are() -> None:
+    design = Design(load_scenario("scheme-1", ("dispersions.bench.errors.middle_m={kind='normal', sigma=0.001}",)), 4)
+    values = design.values(1)
+    truth, told = design.apply(values)
+    assert truth.bench.errors.middle_m == values[design.names.index("bench.errors.middle_m")] != 0.0
+    assert told.bench.errors.is_empty
+
+
 def test_gnc_receives_only_its_own_table() -> None:
     late = "dispersions.gnc.abort.at_s={kind='uniform', low=10.0, high=20.0}"
     scenario = load_scenario("scheme-1", (late,))

@@ -1,0 +1,1 @@
+"""IMU of a lab on a wire of its own."""
