@@ -168,14 +168,13 @@ def on_each_kind(folder: Path, key: str) -> list[tuple[Kind, BaseModel]]:
         path.write_text(RANGE)
         return [(kind, load_scenario(str(path)).value) for kind in KINDS]
     found: list[tuple[Kind, BaseModel]] = []
-    rotates = key.startswith("rig.rotary_manipulator")
+    rotates, floats = key.startswith("rig.rotary_manipulator"), key.startswith("rig.floating")
     for kind in KINDS:
-        base = ("mock" if kind == "mock" else "emulated") + ("-manipulator" if rotates else "")
+        base = ("mock" if kind == "mock" else "emulated") + "-manipulator" * rotates + "-floating" * floats
         text = f'extends = "{base}"\nname = "each"\n'
         if kind == "hardware":
-            text += f'kind = "hardware"\n{HARDWARE_WIRES}' + (
-                'rotary_manipulator.cia402.channel = "/dev/zero"\n' * rotates
-            )
+            wires = "vmu.udp.port = 504\nio.port = 505\n" if floats else HARDWARE_WIRES
+            text += f'kind = "hardware"\n{wires}' + ('rotary_manipulator.cia402.channel = "/dev/zero"\n' * rotates)
         path = folder / f"{kind}.toml"
         target = TARGET + ('"mock"\n' if kind == "mock" else WIRED)
         lamp = LAMP.replace("DRIVER", "mock" if kind == "mock" else "modbus")
@@ -228,6 +227,8 @@ def test_each_limit_at_each_value_is_an_error_or_red_unless_it_is_as_strong_as_r
             if "_manipulator" in whole
             else whole[:14]
             if "_axes." in whole or "controllers" in whole
+            else "rig.floating"
+            if "floating." in whole
             else "rig."
             if of_rig
             else ""
