@@ -186,7 +186,7 @@ class ArmAxes(CyclicAxisGroup):
         table = six_axes(rig)
         self._acceleration_max = np.array([axis.limits[3] for axis in table.axes])
         super().__init__(table, clock, ArmExchange(rig, link, self._acceleration_max), "arm")
-        self._due_s = link.due_s
+        self._robot = link
         self._period_s = _PERIOD_S
         self._span: tuple[Array, Array, float] | None = None
         self.opened: set[str] = set()
@@ -224,6 +224,9 @@ class ArmAxes(CyclicAxisGroup):
         if self._link.error is not None and not self._stopping.is_set():
             raise self._link.error
         return super().read(now_s)
+
+    def _due_s(self) -> float:
+        return self._robot.due_s()
 
     def _wait(self, until_s: float) -> bool:
         """Return at once: the exchange waits for the robot."""
