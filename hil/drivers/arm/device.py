@@ -228,6 +228,9 @@ class ArmAxes(CyclicAxisGroup):
             raise self._link.error
         return super().read(now_s)
 
+    def _due_s(self) -> float:
+        return self._robot.due_s()
+
     def _wait(self, until_s: float) -> bool:
         """Return at once: the exchange waits for the robot."""
         return False
