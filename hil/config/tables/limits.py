@@ -105,6 +105,7 @@ RIG_LIMITS: Final = (
     Limit("floating.pose_lost_s", "thrusters that fire at a vehicle whose pose is not known", 1.0, 5.0, 3600.0),
     Limit("floating.start_error_max_m", "a run from another start than the plan's", 0.5, 2.0, 1e3),
     Limit("floating.start_error_max_deg", "a run from another start than the plan's", 20.0, 90.0, 180.0),
+    Limit("imu.timeout_s", "gyros of the table that are silent", 0.2, 0.5, 3600.0),
     Limit("arm.timeout_s", "silence of the controller of a robot", 0.2, 0.5, 1.0),
     Limit("io.timeout_s", "silence of the coupler of the safety chain", 1.0, 2.0, 3600.0),
     Limit("io.pump_timeout_s", "torque of a controller that is dead or hangs", 0.2, 1.0, 60.0),
