@@ -91,5 +91,4 @@ class MeasuredBodies:
     def stamp_s(self, bench_s: float, t_s: float) -> float:
         """Return the time of the tracker's clock at bench time ``bench_s``, s. t_s: that of the faults."""
         jumps = [f.values[0] for f in self._table.faults if f.kind == "clock_jump" and f.at_s <= t_s < f.end_s]
-        drift_s = 1e-6 * self._table.clock_drift_ppm * bench_s
-        return bench_s + drift_s + self._table.clock_offset_s + linear.total(jumps)
+        return bench_s * self._table.clock_scale + self._table.clock_offset_s + linear.total(jumps)

@@ -129,8 +129,8 @@ class Tracker(ConfigModel):
     """Mock and emulated tracker: samples per second."""
     clock_offset_s: float = 12.5
     """Mock and emulated tracker: lead of its clock at the time zero of the bench."""
-    clock_drift_ppm: float = 0.0
-    """Mock and emulated tracker: drift of its clock."""
+    clock_scale: Positive = 1.0
+    """Mock and emulated tracker: seconds of its clock per second."""
     faults: tuple[TrackerFault, ...] = ()
 
     @property
