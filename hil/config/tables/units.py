@@ -52,7 +52,6 @@ UNITS: Final = {
     "degps2": Unit("deg/s²", "degps2"),
     "radps2": Unit("", "degps2", _DEG),
     "db": Unit("dB"),
-    "ppm": Unit("ppm"),
     "m2": Unit("m²"),
     "mps3": Unit("m/s³"),
     "degps3": Unit("deg/s³"),

@@ -191,9 +191,6 @@ class ArmAxes(CyclicAxisGroup):
         self._span: tuple[Array, Array, float] | None = None
         self.opened: set[str] = set()
 
-    def _due_s(self) -> float:
-        return self._robot.due_s()
-
     def set_period(self, period_s: float) -> None:
         """Expect a setpoint every ``period_s``."""
         self._period_s = period_s

@@ -271,7 +271,6 @@ NO_PROTECTION = {
     r"jerk_max|exchange_rate_max": "smoothness and load of the wires: an axis within speed and acceleration is safe",
     r"rig\.tracker\.": "within ranges of their own; a tracker protects the verdict, the bench is held either way",
     r"drift_check\.": "of a measurement that the operator starts; its result has its own probability",
-    r"^rig\.tracker\.": "of a comparison, which withholds a verdict and holds the bench: its bound is in sigmas",
     r"enable_timeout": "a drive that is not enabled does not move",
     r"exchange_max_s|late_wakeup": "counted in reports alone",
     r"lock_step_timeout|reply_timeout_fraction": "of simulated time, or a fraction of a cycle with its own bounds",
