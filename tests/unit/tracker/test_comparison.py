@@ -16,7 +16,8 @@ from hil.parts.tracker.mock import MockTracker
 from hil.parts.tracker.table import Tracker
 
 STEP_S = 0.02
-BODIES: dict[str, dict[str, Any]] = {"chaser": {"body": 1, "position_m": [0.1, -0.05, 0.2], "rotation_deg": [10.0, -20.0, 30.0]},
+BODIES: dict[str, dict[str, Any]] = {
+          "chaser": {"body": 1, "position_m": [0.1, -0.05, 0.2], "rotation_deg": [10.0, -20.0, 30.0]},
           "target": {"body": 2, "rotation_deg": [0.0, 0.0, 90.0]}, "reference": {"body": 3}}  # fmt: skip
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 
