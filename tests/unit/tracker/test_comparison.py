@@ -16,7 +16,8 @@ from hil.parts.tracker.mock import MockTracker
 from hil.parts.tracker.table import Tracker
 
 STEP_S = 0.02
-BODIES = {"chaser": {"body": 1, "position_m": [0.1, -0.05, 0.2], "rotation_deg": [10.0, -20.0, 30.0]},
+BODIES: dict[str, dict[str, Any]] = {
+          "chaser": {"body": 1, "position_m": [0.1, -0.05, 0.2], "rotation_deg": [10.0, -20.0, 30.0]},
           "target": {"body": 2, "rotation_deg": [0.0, 0.0, 90.0]}, "reference": {"body": 3}}  # fmt: skip
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 
@@ -127,7 +128,7 @@ def test_base_that_moves_by_three_millimetres_is_found_within_two_seconds(axis: 
     ],
 )
 def test_what_has_moved_is_distinguished(of: str, reference: bool, cause: str) -> None:
-    keys = {} if reference else {"reference": None}
+    keys: dict[str, Any] = {} if reference else {"reference": None}
     flown = Flight(23.0, faults=[{"kind": "moved", "of": of, "at_s": 20.0, "value": [0.0, 0.002, 0.002]}], **keys)
     assert flown.first_beyond("chaser", "target") is not None
     assert cause in flown.cause()
