@@ -275,10 +275,14 @@ def test_loop_is_closed_on_the_emulated_robot(rig_file: str) -> None:
 
 @pytest.mark.slow
 @robots
-def test_scheme_1_on_a_robot_is_that_on_rails(rig_file: str) -> None:
-    """pytest -m slow tests/contract/test_pose_device.py"""
+def test_robot_shows_the_truth_and_its_verdict_is_that_of_rails(rig_file: str) -> None:
+    """pytest -m slow tests/contract/test_pose_device.py
+
+    The truths of two benches are not compared: the first firing that differs by a cycle separates their limit cycles.
+    """
     lock_step = {"rig.host.time": "lock_step"}
-    runs = [hil.run("scheme-1", rig=rig, overrides=lock_step) for rig in ("emulated", rig_file)]
-    rails, robot = (run.truth.r_CT_H for run in runs)
-    assert [run.summary["passed"] for run in runs] == [True, True]
-    assert np.abs(rails - robot).max() < 1e-4
+    rails, robot = (hil.run("scheme-1", rig=rig, overrides=lock_step).summary for rig in ("emulated", rig_file))
+    assert robot["passed"] == rails["passed"] is True
+    assert abs(robot["ready_time_s"] - rails["ready_time_s"]) < 0.2
+    assert robot["bench"]["true_pose_error_mm"]["max"] < 0.1
+    assert robot["bench"]["true_pose_error_deg"]["max"] < 0.01
