@@ -134,14 +134,15 @@ def measure(
     out: CsvFile,
     sources: Group[SourceOptions] = _SOURCES,
     seed: Seed = 0,
+    yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
     speed: Positive = 1.0,
 ) -> int:
     """Move through the poses of PLAN, average the observations at rest at each, and write one row per pose and source.
 
-    Mock and emulated rigs are observed by a simulated tracker, which sees the machine as it is built, and their vision
-    unit. The rows of a rig of hardware come from its own tracker.
+    The tracker is that of the rig's table [tracker]. A mock or emulated rig without one on a wire has a simulated one,
+    which sees the machine as it is built.
 
     Parameters
     ----------
@@ -153,6 +154,8 @@ def measure(
         PoseObservations to write, *.csv.
     seed
         Seed of the noise.
+    yes
+        Confirm that the bench is clear (required for hardware rigs).
     scenario
         Gives the cycle of the bench and the guard volume.
     speed
@@ -166,6 +169,9 @@ def measure(
     from hil.parts.geometry.plan import read_plan
 
     job, axes, console = _job(rig, scenario, settings, seed, speed), read_plan(plan), notices()
+    if job.rig.value.kind == "hardware" and not yes:
+        text = f"{job.rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
+        raise BadInput.single("--yes", "", text)
     compile_kernels_with_notice(job, console)
     with ProgressBar(console, "opening the axes") as bar:
         announce = partial(say, console=console, style="dim")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -24,6 +24,9 @@ from hil.maths.random_streams import stream
 from hil.params import bench as bench_params
 from hil.parts.geometry.model import MachineModel, with_noise
 from hil.parts.geometry.observations import PoseObservations, joined
+from hil.parts.geometry.tracked import TrackedPoses
+from hil.parts.tracker.link import open_link
+from hil.parts.tracker.table import Tracker
 from hil.parts.vision.view_plan import Clearance, IsClear, axes_record
 from hil.session import build
 from hil.session.build import Job
@@ -181,25 +184,35 @@ def clearance(job: Job) -> Clearance:
 
 
 @contextmanager
-def opened(job: Job, announce: Callable[[str], None]) -> Iterator[tuple[Runner, TrueAxes]]:
-    """Give a Runner of a mock or emulated rig, and where its axes are. Raises BadInput for hardware."""
+def opened(job: Job, announce: Callable[[str], None]) -> Iterator[tuple[Runner, TrueAxes | None, TrackedPoses | None]]:
+    """Give a Runner, where the axes of a mock or emulated rig are, and the tracker that a rig has on a wire."""
     rig = job.rig.value
-    if rig.kind == "hardware":
-        text = "hardware: its tracker writes the observations itself: give its CSV file to hil geometry fit"
-        raise BadInput.single(job.rig.where("kind"), "rig.kind", text)
     if rig.kind == "mock":
         with build.runner(job, announce=announce) as runner:
             rails, turntable = runner.loop.bench.rails, runner.loop.bench.turntable
             assert isinstance(rails, MockAxes)
             assert isinstance(turntable, MockAxes)
-            yield runner, lambda now_s: np.concatenate([rails.position_at(now_s), turntable.position_at(now_s)])
+            yield runner, lambda now_s: np.concatenate([rails.position_at(now_s), turntable.position_at(now_s)]), None
         return
-    with build.wired_bench(job, announce) as bench:
-        operator = provided("rig.kind=emulated: operator")(bench.board, bench.addresses)
-        yield (
-            bench.axes_runner(),
-            lambda now_s: np.array([operator.position(axis, now_s) for axis in range(6)]),
-        )
+    with build.wired_bench(job, announce) as bench, ExitStack() as stack:
+        config: Tracker | None = bench.rig.table_of_part("tracker")
+        tracker = None
+        if config is not None and config.driver in config.on_wires:
+            tracker = stack.enter_context(closing(TrackedPoses(config, open_link(config, bench.clock))))
+        true_axes: TrueAxes | None = None
+        if rig.kind == "emulated":
+            operator = provided("rig.kind=emulated: operator")(bench.board, bench.addresses)
+            true_axes = lambda now_s: np.array([operator.position(axis, now_s) for axis in range(6)])  # noqa: E731
+        yield bench.axes_runner(), true_axes, tracker
+
+
+def check_sources(job: Job, sources: list[str]) -> None:
+    """Raise BadInput unless the rig has the ``sources``: hardware a tracker on a wire, and no other."""
+    rig = job.rig.value
+    config: Tracker | None = rig.table_of_part("tracker")
+    if rig.kind == "hardware" and (sources != ["tracker"] or config is None or config.driver not in config.on_wires):
+        text = "is missing: poses of hardware come from a tracker on a wire, or by its own CSV file to hil geometry fit"
+        raise BadInput.single(job.rig.where("tracker"), "rig.tracker", text)
 
 
 def measure(
@@ -211,14 +224,20 @@ def measure(
     on_progress: OnProgress,
     announce: Callable[[str], None],
 ) -> PoseObservations:
-    """Return the observations of a mock or emulated rig at ``plan`` (n, 6). Raises BadInput, BenchError."""
+    """Return the observations of a rig at ``plan`` (n, 6). Raises BadInput, BenchError.
+
+    tracker_sigma: (6,), m and rad, of the simulated tracker of a mock or emulated rig without one on a wire.
+    """
     rig, truth = job.rig.value, job.truth
-    with opened(job, announce) as (runner, true_axes), runner.axes_only() as sequencer:
+    check_sources(job, sources)
+    with opened(job, announce) as (runner, true_axes, tracker), runner.axes_only() as sequencer:
         vector = errors_as_built(rig, truth.bench.errors)
         observers: list[PoseObserver] = []
-        if "tracker" in sources:
+        if tracker is not None and "tracker" in sources:
+            observers.append(tracker)
+        elif true_axes is not None and "tracker" in sources:
             known = np.zeros(PARAMETERS) if vector is None else vector
             observers.append(SimulatedTracker(MachineModel(rig), known, true_axes, tracker_sigma, job.seed))
-        if "vmu" in sources:
+        if true_axes is not None and "vmu" in sources:
             observers.append(SimulatedVision(make_pose_sensor(truth, rig, job.seed), true_axes, rig.vmu.rate_hz))
         return GeometryDrive(sequencer, observers, clearance(job), average_s, on_progress).observe(plan)
