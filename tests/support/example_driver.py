@@ -23,6 +23,6 @@ def install(target: Path, folder: Path = FOLDER) -> Path:
         for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))
     ]
     (info / "entry_points.txt").write_text("\n".join(points) + "\n")
-    for path in folder.glob("*/__init__.py"):
-        (target / path.parent.name).symlink_to(path.parent)
+    for path in (*(each.parent for each in folder.glob("*/__init__.py")), *folder.glob("*.py")):
+        (target / path.name).symlink_to(path)
     return target

@@ -71,7 +71,7 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("rig.io.thruster_lines=3", ("rig.io.thruster_lines", "allowed", "or 0 for none")),
         ("orbit.altitude_m=-1000.0", ("orbit.altitude_m", "-1000", "greater than 0")),
         ("orbit.eccentricity=0.8", ("orbit.eccentricity", "0.8", "less than or equal to 0.7")),
-        ("truth.relative_motion=kepler", ("truth.relative_motion", "kepler", "'hill' or 'nonlinear'")),
+        ("truth.relative_motion=kepler", ("truth.relative_motion", "kepler", "'hill', 'nonlinear' or 'free'")),
         ("truth.gravity_degree=9", ("truth.gravity_degree", "9", "allowed 0 to 8")),
         ("truth.gravity_degree=-1", ("truth.gravity_degree", "-1", "0")),
         ("truth.gravity_file=nowhere.tab", ("truth.gravity_file", "nowhere.tab", "cannot be read")),

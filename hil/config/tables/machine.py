@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 from hil.config.tables.model import ConfigModel, NotNegative, Triple
 from hil.config.tables.units import si_factor
 from hil.core.messages import Array
-from hil.maths.random_streams import noise_source
 
 _NONE3: Final = (0.0, 0.0, 0.0)
 _NONE4: Final = (*_NONE3, 0.0)
@@ -127,6 +126,8 @@ class MachineErrors(MachineGeometry):
     def vector(self) -> Array:
         vector = super().vector
         if self.seed is not None:
+            from hil.maths.random_streams import noise_source  # imports the compiler
+
             sigma = np.where(ROTATIONS, si_factor("random_deg") * self.random_deg, self.random_m)
             vector = vector + sigma * noise_source(self.seed, "geometry").standard_normal((PARAMETERS,))
         return vector
