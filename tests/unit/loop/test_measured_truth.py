@@ -61,7 +61,7 @@ def test_rates_are_those_of_the_poses_and_carry_the_truth_on() -> None:
 def test_sigma_of_the_fitted_rate_is_that_of_many_noisy_runs() -> None:
     core = memory()
     truth, random, speeds = measured(core), np.random.default_rng(1), []
-    for _ in range(200):
+    for _ in range(50):
         truth.begin()
         for k in range(52):  # none of the poses before the first one is in the window
             noisy = pose(k / RATE_HZ)
@@ -70,7 +70,7 @@ def test_sigma_of_the_fitted_rate_is_that_of_many_noisy_runs() -> None:
         speeds.append(core.now.truth.v_CT_H - V)
         core.now.row["truth"] = START
     sigma = np.std(np.array(speeds)[:, [0, 2]])
-    assert sigma == pytest.approx(truth.numbers()["sigma_mps"] * 1e-3 / truth.numbers()["sigma_m"], rel=0.1)
+    assert sigma == pytest.approx(truth.numbers()["sigma_mps"] * 1e-3 / truth.numbers()["sigma_m"], rel=0.15)  # of 100 numbers: 0.07
 
 
 def test_truth_stays_in_the_plane() -> None:
