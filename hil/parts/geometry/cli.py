@@ -67,6 +67,19 @@ class SourceOptions:
 _SOURCES = SourceOptions()
 
 
+@dataclass(frozen=True)
+class MovingOptions:
+    """Motion of the axes."""
+
+    yes: Flag = False
+    """Confirm that the bench is clear (required for hardware rigs)."""
+    speed: Positive = 1.0
+    """Simulation speed relative to real time, on an emulated rig."""
+
+
+_MOVING = MovingOptions()
+
+
 @app.command(help="Plan the poses that make the parameters of the geometry observable.")
 def plan(
     rig: str = "emulated",
@@ -133,11 +146,10 @@ def measure(
     rig: str = "emulated",
     out: CsvFile,
     sources: Group[SourceOptions] = _SOURCES,
+    moving: Group[MovingOptions] = _MOVING,
     seed: Seed = 0,
-    yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
-    speed: Positive = 1.0,
 ) -> int:
     """Move through the poses of PLAN, average the observations at rest at each, and write one row per pose and source.
 
@@ -151,15 +163,11 @@ def measure(
     rig
         mock, emulated, or the path of a rig file.
     out
-        PoseObservations to write, *.csv.
+        Observations to write, *.csv.
     seed
         Seed of the noise.
-    yes
-        Confirm that the bench is clear (required for hardware rigs).
     scenario
         Gives the cycle of the bench and the guard volume.
-    speed
-        Simulation speed relative to real time, on an emulated rig.
     """
     refuse_wires_in_use(rig, settings)
 
@@ -168,8 +176,8 @@ def measure(
     from hil.parts.geometry.observations import write_observations
     from hil.parts.geometry.plan import read_plan
 
-    job, axes, console = _job(rig, scenario, settings, seed, speed), read_plan(plan), notices()
-    if job.rig.value.kind == "hardware" and not yes:
+    job, axes, console = _job(rig, scenario, settings, seed, moving.speed), read_plan(plan), notices()
+    if job.rig.value.kind == "hardware" and not moving.yes:
         text = f"{job.rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
         raise BadInput.single("--yes", "", text)
     compile_kernels_with_notice(job, console)
