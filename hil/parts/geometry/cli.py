@@ -109,6 +109,7 @@ def plan(
     """
     import numpy as np
 
+    from hil.config.tables.machine import NAMES
     from hil.params import bench as bench_params
     from hil.parts.geometry.measure import clearance
     from hil.parts.geometry.model import MachineModel
@@ -133,7 +134,9 @@ def plan(
             np.random.default_rng(seed),
         )
     write_plan(planned, out)
-    say(f"{out}: {len(planned.axes)} poses, predicted worst sigma {_pose_text(*planned.worst)}")
+    nothing = len(planned.not_observable) == len(NAMES)
+    worst = "too few to determine anything" if nothing else f"predicted worst sigma {_pose_text(*planned.worst)}"
+    say(f"{out}: {len(planned.axes)} poses, {worst}")
     _name_unknown(planned.not_observable)
     return _PASSED
 

@@ -74,6 +74,7 @@ def test_hardware_needs_a_tracker_on_a_wire_and_a_clear_bench(tmp_path, capsys) 
     lab, plan = tmp_path / "lab.toml", tmp_path / "plan.csv"
     lab.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')
     assert execute(["geometry", "plan", "mock", "-o", str(plan), "--poses", "12"]) == 0
+    assert "12 poses, too few to determine anything" in capsys.readouterr().out
     command = ["geometry", "measure", str(plan), "--rig", str(lab), "-o", str(tmp_path / "rows.csv")]
     assert execute(command) == 2
     assert "--yes: lab is hardware and its axes will move: clear the bench" in capsys.readouterr().err
