@@ -23,6 +23,12 @@ BRAKES_S = 0.3
 READ_S = 0.45
 """Time for a question, before which it takes no answer."""
 
+ANSWERS = """{
+    const ask = window.hil.link.ask.bind(window.hil.link);
+    window.hil.link.ask = async (message) => (window.hil.last = await ask(message));
+}"""
+"""Keeps the last answer: an order that was sent as the network stalled may have been accepted."""
+
 
 @dataclass
 class Outcome:
@@ -49,6 +55,7 @@ def course(page: ChromiumPage, watcher: Page, relay: Relay, dice: random.Random,
     what = dice.choice(("jog", "order", "jog and halt"))
     stalled = dice.choice(((relay.up,), (relay.down,), (relay.up, relay.down)))
     name = f"{what}, {'up' * (relay.up in stalled)}{'down' * (relay.down in stalled)}, {stall_s:.1f} s"
+    page.evaluate("void (window.hil.last = null)")
     if what == "order":
         ask_by(page, "order_home")
         until(page, "document.getElementById('confirm').open")
@@ -89,7 +96,7 @@ def course(page: ChromiumPage, watcher: Page, relay: Relay, dice: random.Random,
     relay.heal()
     if what == "order" and was_in == "standby" and stall_s > ACT_S:  # within that time it may act
         until(page, "document.getElementById('answer').textContent !== '' || window.hil.link.age_s < 0.3", 10.0)
-        if not text(page, "answer"):
+        if not text(page, "answer") and not page.evaluate("Boolean(window.hil.last && window.hil.last.ok)"):
             seen.not_shown.append(f"{name}: no reason")
     watcher.until(lambda: watcher.now["mode"] == "standby", "standby", 120.0)
     page.evaluate("void document.getElementById('no').click()")
@@ -107,6 +114,7 @@ def fly(rig: str, lease_s: float, seed: int, courses: int, longest_s: float) -> 
         opened = f'window.hil.link.ask({{do: "open", scenario: "scheme-1", rig: "{rig}", confirmed: true}})'
         assert page.evaluate(opened)["ok"]
         until(page, "window.hil.now.mode === 'standby'", 240.0)
+        page.evaluate(ANSWERS)
         watcher = made.page("watcher")
         watcher.until(lambda: watcher.now["mode"] == "standby", "standby")
         for _ in range(courses):

@@ -108,6 +108,11 @@ export class Controls {
     if (text) this.clearing = setTimeout(() => this.notify(this.link.old ? text : ""), ANSWER_MS);
   }
 
+  // After a gap in the connection what was answered stays for as long as if it had been answered now.
+  reconnected() {
+    this.notify($("answer").textContent);
+  }
+
   takeOrRelease() {
     if (this.now.lease && this.now.lease.mine) this.ask({ do: "release" });
     else this.ask({ do: "take_over" });

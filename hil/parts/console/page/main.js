@@ -48,6 +48,7 @@ const link = new Link({
     whoIs(text);
   },
   opened() {
+    controls.reconnected();
     if (camera.wanted) link.send({ do: "watch", camera: camera.wanted });
   },
   lost() {
