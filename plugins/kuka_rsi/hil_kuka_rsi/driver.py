@@ -7,15 +7,13 @@ import numpy as np
 from hil.config.tables.arm import Arm
 from hil.core.clock import BenchClock
 from hil.core.messages import Array
-from hil.drivers.arm.device import END
 from hil.drivers.arm.model import FlangePose
-from hil.errors import DriveFault, FaultKind, LinkTimeout
+from hil.errors import DriveFault, FaultKind
 from hil_kuka_rsi import codec
 from hil_kuka_rsi.codec import RobotState
 from hil_kuka_rsi.entry import RsiSettings
 from hil_robot_arms.cycles import Cycle, RobotCycles
-
-_OPEN_S = 5.0  # bench time until the controller corrects
+from hil_robot_arms.link import CycleLink
 
 
 def _decode(data: bytes) -> Cycle[RobotState]:
@@ -23,80 +21,55 @@ def _decode(data: bytes) -> Cycle[RobotState]:
     return Cycle(state.ipoc, 1e-3 * state.ipoc, state)
 
 
-class RsiLink:
-    """PoseLink of RSI; the port of ``[arm.kuka_rsi]``."""
+class RsiLink(CycleLink[RobotState]):
+    """PoseLink of RSI; the port of ``[arm.kuka_rsi]``. Its controller ends the correction after ``late_max`` cycles."""
+
+    not_followed = "its program does not correct (RSI_MOVECORR)"
 
     def __init__(self, arm: Arm, clock: BenchClock, name: str = "arm") -> None:
         settings: RsiSettings = arm.settings
-        self._settings, self._clock, self._name = settings, clock, name
-        self._cycles = RobotCycles(clock, _decode, settings.period_ms, settings.period_s, arm.timeout_s)
-        self._ended = False
-        self._pending: RobotState | None = None
+        self._settings = settings
+        cycles = RobotCycles(clock, _decode, settings.period_ms, settings.period_s, arm.timeout_s)
+        super().__init__(cycles, (settings.host, settings.port), clock, name)
         self._delayed = self._delayed_before = 0
 
-    def open(self) -> FlangePose:
-        """Wait until the controller corrects; its pose does not change by that. Raises DeviceError."""
-        assert self._settings.port is not None
-        self._ended, self._pending = False, None
-        self._cycles.open(self._settings.host, self._settings.port)
-        until_s, seen = self._clock.now_s() + _OPEN_S, 0
-        while self._clock.now_s() < until_s:
-            cycle = self._cycles.next(may_be_silent=True)
-            if cycle is None:
-                continue
-            state, seen = cycle.state, seen + 1
-            if state.status in (None, codec.RUNNING) and seen > 1:
-                unit = np.zeros(6) if state.corrected is None else state.corrected
-                self._start = codec.uncorrected(state.commanded, unit, self._settings.rotation)
-                self._pending, self._delayed_before = state, state.delayed
-                return self._flange(state)
-            still = state.corrected if self._settings.mode == "absolute" else None
-            self._send(state.ipoc, np.zeros(6) if still is None else still)
-        what = "no cycle" if not seen else "its program does not correct (RSI_MOVECORR)"
-        raise LinkTimeout(self._name, f"{what} within {_OPEN_S:g} s on udp port {self._settings.port}")
+    def follows(self, state: RobotState) -> bool:
+        """Return whether the controller corrects; if so its pose without correction is the start."""
+        if state.status not in (None, codec.RUNNING):
+            return False
+        unit = np.zeros(6) if state.corrected is None else state.corrected
+        self._start = codec.uncorrected(state.commanded, unit, self._settings.rotation)
+        self._delayed_before = state.delayed
+        return True
 
-    def exchange(self, target: FlangePose) -> FlangePose | None:
-        """Answer the last cycle with ``target``; return the next one. Raises DeviceError, also for a stopped robot."""
-        if self._pending is not None and not self._ended:
-            goal = codec.frame_of(target.position_m, target.axes)
-            start = self._start if self._settings.mode == "absolute" else self._pending.commanded
-            self._send(self._pending.ipoc, codec.correction_between(start, goal, self._settings.rotation))
-        self._pending = None
-        cycle = self._cycles.next(may_be_silent=self._ended)
-        if cycle is None:
-            return None
-        self._pending, self._delayed = cycle.state, cycle.state.delayed
-        if not self._ended:
-            self._check(cycle.state)
-        return self._flange(cycle.state)
+    def hold(self, state: RobotState) -> None:
+        """Answer with the correction that holds."""
+        still = state.corrected if self._settings.mode == "absolute" else None
+        self._send(state.ipoc, np.zeros(6) if still is None else still)
 
-    def due_s(self) -> float:
-        """Return the bench time of the last cycle, by its IPOC."""
-        return self._cycles.t_s
+    def lead(self, state: RobotState, target: FlangePose) -> None:
+        """Answer with the correction to ``target``, from the start or from the last pose."""
+        goal = codec.frame_of(target.position_m, target.axes)
+        start = self._start if self._settings.mode == "absolute" else state.commanded
+        self._send(state.ipoc, codec.correction_between(start, goal, self._settings.rotation))
 
-    def stop(self, category: int) -> None:
-        """With END answer no more: the controller ends the correction after ``late_max`` cycles."""
-        self._ended = self._ended or category == END
-
-    def close(self) -> None:
-        """Close the port. Idempotent."""
-        self._cycles.close()
-
-    def counters(self) -> dict[str, int]:
-        """Return the counts of both ends: ``late`` are answers that the controller rejected as late."""
-        late = max(0, self._delayed - self._delayed_before)
-        return {**self._cycles.counts, "late": late, "drift_ppm": round(1e6 * self._cycles.drift)}
-
-    def _check(self, state: RobotState) -> None:
+    def check(self, state: RobotState) -> None:
+        """Raise DriveFault for a robot that has stopped or is not corrected."""
         if state.status == codec.SAFETY_STOP:
             raise DriveFault(self._name, "safety stop of the controller", FaultKind.TORQUE_OFF)
         if state.status not in (None, codec.RUNNING):
             late = state.delayed - self._delayed_before
             raise DriveFault(self._name, f"the controller has ended the correction, {late} late answers")
 
-    def _send(self, ipoc: int, correction: Array) -> None:
-        self._cycles.answer(codec.encode_answer(ipoc, correction, self._settings.sen_type))
-
-    def _flange(self, state: RobotState) -> FlangePose:
+    def flange(self, state: RobotState) -> FlangePose:
+        """Return where the robot is."""
+        self._delayed = state.delayed  # of every state, also once the correction has ended
         joints = None if state.joints is None else np.radians(state.joints)
         return FlangePose(self._cycles.t_s, *codec.pose_of(state.actual), joints)
+
+    def counters(self) -> dict[str, int]:
+        """Return the counts of both ends: ``late`` are answers that the controller rejected as late."""
+        return {**super().counters(), "late": max(0, self._delayed - self._delayed_before)}
+
+    def _send(self, ipoc: int, correction: Array) -> None:
+        self._cycles.answer(codec.encode_answer(ipoc, correction, self._settings.sen_type))

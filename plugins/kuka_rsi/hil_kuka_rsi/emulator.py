@@ -6,8 +6,6 @@ again after a pause.
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 
 from hil.config.rig import Rig
@@ -15,74 +13,46 @@ from hil.config.tables.arm import Arm
 from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.drivers.arm.model import FlangePose
-from hil.drivers.datagrams import DatagramSender
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil_kuka_rsi import codec
 from hil_kuka_rsi.codec import RobotState
 from hil_kuka_rsi.entry import RsiSettings
-from hil_robot_arms.emulated import EmulatedRobot
+from hil_robot_arms.emulated import EmulatedController, EmulatedRobot
 
 _PAUSE_S = 0.3  # without a valid answer, after which the next one restarts the correction
 _FIRST_IPOC = 123_456
 
 
-class RsiController:
-    """Controller of a robot, on a UDP port of 127.0.0.1."""
+class RsiController(EmulatedController):
+    """Controller of a robot."""
 
     def __init__(self, arm: Arm, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0) -> None:
         settings: RsiSettings = arm.settings
-        self._settings, self._clock = settings, clock
-        self.robot = self._robot = EmulatedRobot(rig, clock, shared, seed)
-        self._robot.lag_s = settings.emulated_lag_s
-        self.faults = self._robot.faults
-        self._wire = DatagramSender(clock)
+        super().__init__(EmulatedRobot(rig, clock, shared, seed), clock, settings.period_s)
+        self._settings = settings
+        self.robot.lag_s = settings.emulated_lag_s
         self._ipoc, self._delayed, self._late_in_row = _FIRST_IPOC, 0, 0
         self._status = codec.STOPPED
         self._answered_s = -_PAUSE_S
         self._start = self._commanded = self._frame()
         self._corrected = np.zeros(6)
 
-    def start(self) -> dict[str, str]:
-        """Return the address to which the controller sends."""
-        return {"arm": self._wire.path}
-
-    def run(self, stop: threading.Event) -> None:
-        """Send a telegram per cycle until ``stop`` is set."""
-        next_s = self._clock.now_s()
-        while not stop.is_set():
-            self._robot.advance(self._clock.now_s())
-            self._supervise()
-            self._send()
-            next_s = max(next_s + self._settings.period_s, self._clock.now_s())
-            self._receive_until(next_s)
-
-    def close(self) -> None:
-        """Close the wire. Idempotent."""
-        self._wire.close()
-
     def _frame(self) -> Array:
-        pose = self._robot.pose(0.0)
+        pose = self.robot.pose(0.0)
         return codec.frame_of(pose.position_m, pose.axes)
 
-    def _send(self) -> None:
-        """Send where the robot is, as the faults of the wire let it pass."""
-        now_s = self._clock.now_s()
-        pose = self._robot.pose(now_s)
+    def telegram(self, now_s: float) -> bytes:
+        """Return where the robot is."""
+        pose = self.robot.pose(now_s)
         joints = None if pose.joints_rad is None else np.degrees(pose.joints_rad)
         actual = codec.frame_of(pose.position_m, pose.axes)
         self._ipoc += self._settings.period_ms
-        state = RobotState(self._ipoc, actual, self._commanded, joints, self._corrected, self._delayed, self._status)
-        self._robot.channel.put(codec.encode_state(state), now_s)
-        for packet in self._robot.channel.due(now_s):
-            self._wire.write(packet)
+        return codec.encode_state(
+            RobotState(self._ipoc, actual, self._commanded, joints, self._corrected, self._delayed, self._status)
+        )
 
-    def _receive_until(self, next_s: float) -> None:
-        """Accept the answer to this cycle until the next one begins."""
-        answered = False
-        while (now_s := self._clock.now_s()) < next_s:
-            data = self._wire.read(self._clock.wall_s(next_s - now_s))
-            if data:
-                answered = self._accept(data) or answered
+    def end_cycle(self, answered: bool) -> None:
+        """Count a cycle without an answer as late; too many in a row end the correction."""
         if answered:
             self._late_in_row, self._answered_s = 0, self._clock.now_s()
         elif self._status == codec.RUNNING:
@@ -90,7 +60,7 @@ class RsiController:
             if self._late_in_row > self._settings.late_max:
                 self._end(codec.STOPPED)
 
-    def _accept(self, data: bytes) -> bool:
+    def accept(self, data: bytes) -> bool:
         """Apply an answer; return False for one that is damaged, of another cycle or type."""
         try:
             ipoc, correction = codec.decode_answer(data, self._settings.sen_type)
@@ -100,7 +70,7 @@ class RsiController:
             return False
         now_s = self._clock.now_s()
         if self._status != codec.RUNNING:
-            if now_s - self._answered_s >= _PAUSE_S and not self._robot.torque_off:
+            if now_s - self._answered_s >= _PAUSE_S and not self.robot.torque_off:
                 self._status, self._late_in_row = codec.RUNNING, 0
                 self._start = self._commanded = self._frame()
                 self._corrected = np.zeros(6)
@@ -111,18 +81,19 @@ class RsiController:
         else:
             self._commanded = codec.corrected(self._commanded, correction, rotation)
         self._corrected = codec.correction_between(self._start, self._commanded, rotation)
-        self._robot.follow(FlangePose(now_s, *codec.pose_of(self._commanded), None), now_s, self._settings.period_s)
+        self.robot.follow(FlangePose(now_s, *codec.pose_of(self._commanded), None), now_s, self._settings.period_s)
         return True
 
-    def _supervise(self) -> None:
-        if self._robot.torque_off:
+    def supervise(self) -> None:
+        """Stop for a safety stop or a failed drive."""
+        if self.robot.torque_off:
             self._end(codec.SAFETY_STOP)
-        elif self._robot.drive_fault:
+        elif self.robot.drive_fault:
             self._end(codec.STOPPED)
         elif self._status == codec.SAFETY_STOP:
             self._status = codec.STOPPED
 
     def _end(self, status: int) -> None:
         if self._status == codec.RUNNING:
-            self._robot.brake()
+            self.robot.brake()
         self._status = status

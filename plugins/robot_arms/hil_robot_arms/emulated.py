@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from contextlib import suppress
 
@@ -11,6 +12,7 @@ from hil.config.rig import Rig
 from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.drivers.arm.model import ArmKinematics, FlangePose, Unreachable
+from hil.drivers.datagrams import DatagramSender
 from hil.maths.random_streams import stream
 from hil.parts.emulation.emulated_axes import EmulatedAxes
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
@@ -98,3 +100,52 @@ class EmulatedRobot:
     def _advance(self, now_s: float) -> None:
         for group in self._groups:
             group.advance(now_s)
+
+
+class EmulatedController:
+    """Controller of a ``robot`` on a UDP port of 127.0.0.1, a telegram per ``period_s``. A make gives its content."""
+
+    def __init__(self, robot: EmulatedRobot, clock: BenchClock, period_s: float) -> None:
+        self.robot, self.faults = robot, robot.faults
+        self._clock, self._period_s = clock, period_s
+        self._wire = DatagramSender(clock)
+
+    def supervise(self) -> None:
+        """Stop for what the robot, or silence, asks for."""
+        raise NotImplementedError
+
+    def telegram(self, now_s: float) -> bytes:
+        """Return the telegram of the cycle that begins."""
+        raise NotImplementedError
+
+    def accept(self, data: bytes) -> bool:
+        """Apply an answer; return whether it was one to this cycle."""
+        raise NotImplementedError
+
+    def end_cycle(self, answered: bool) -> None:
+        """Note whether the cycle that ends was ``answered``."""
+
+    def start(self) -> dict[str, str]:
+        """Return the address to which the controller sends."""
+        return {"arm": self._wire.path}
+
+    def run(self, stop: threading.Event) -> None:
+        """Send a telegram per cycle, as the faults of the wire let it pass, until ``stop`` is set."""
+        next_s = self._clock.now_s()
+        while not stop.is_set():
+            self.robot.advance(self._clock.now_s())
+            self.supervise()
+            now_s = self._clock.now_s()
+            self.robot.channel.put(self.telegram(now_s), now_s)
+            for packet in self.robot.channel.due(now_s):
+                self._wire.write(packet)
+            next_s = max(next_s + self._period_s, self._clock.now_s())
+            answered = False
+            while (now_s := self._clock.now_s()) < next_s:
+                if data := self._wire.read(self._clock.wall_s(next_s - now_s)):
+                    answered = self.accept(data) or answered
+            self.end_cycle(answered)
+
+    def close(self) -> None:
+        """Close the wire. Idempotent."""
+        self._wire.close()
