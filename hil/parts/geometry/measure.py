@@ -25,6 +25,7 @@ from hil.params import bench as bench_params
 from hil.parts.geometry.model import MachineModel, with_noise
 from hil.parts.geometry.observations import PoseObservations, joined
 from hil.parts.geometry.tracked import TrackedPoses
+from hil.parts.tracker.encoder_poses import mean_pose
 from hil.parts.tracker.link import open_link
 from hil.parts.tracker.table import Tracker
 from hil.parts.vision.view_plan import Clearance, IsClear, axes_record
@@ -100,18 +101,9 @@ class _Series:
 
     def mean(self) -> tuple[Array, Array]:
         """Return mean and its standard deviation, (6,) each, m and rad."""
-        poses = np.array(self.poses)
-        first = quat.from_rotation_vector(poses[0, 3:])
-        small = np.array([_between(quat.from_rotation_vector(phi), first) for phi in poses[:, 3:]])
-        turned = quat.multiply(quat.from_rotation_vector(small.mean(axis=0)), first)
-        mean = np.concatenate([poses[:, :3].mean(axis=0), quat.to_rotation_vector(turned)])
-        return mean, np.sqrt(np.mean(np.square(self.sigmas), axis=0) / len(poses))
-
-
-def _between(p: Array, q: Array) -> Array:
-    phi = np.empty(3)
-    quat.rotation_between(p, q, phi)
-    return phi
+        r, q = mean_pose([(pose[:3], quat.from_rotation_vector(pose[3:])) for pose in self.poses])
+        mean = np.concatenate([r, quat.to_rotation_vector(q)])
+        return mean, np.sqrt(np.mean(np.square(self.sigmas), axis=0) / len(self.poses))
 
 
 class GeometryDrive:

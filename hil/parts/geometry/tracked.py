@@ -10,6 +10,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.errors import BadInput, DriveFault, LinkLost
 from hil.maths import linear, quat
+from hil.parts.tracker.encoder_poses import mean_pose
 from hil.parts.tracker.frames import Mounting, TrackedFrame, TrackerSource
 from hil.parts.tracker.link import NAME
 from hil.parts.tracker.table import Tracker
@@ -72,9 +73,7 @@ class TrackedPoses:
             return
         self._first.append((position, q))
         if len(self._first) == _FIRST:
-            small = np.array([_between(each, self._first[0][1]) for _, each in self._first]).mean(axis=0)
-            q_mean = quat.multiply(quat.from_rotation_vector(small), self._first[0][1])
-            self._frame = Mounting(np.mean([each for each, _ in self._first], axis=0), q_mean)
+            self._frame = Mounting(*mean_pose(self._first))
 
     def _placed(self, frame: TrackedFrame, role: str) -> tuple[Array, Array] | None:
         """Return position in W, (3,), m, and W to the axes, (4,), that the body ``role`` stands for."""
@@ -85,9 +84,3 @@ class TrackedPoses:
             text = "the tracker streams a point: geometry needs poses"
             raise BadInput.single("rig", f"tracker.{role}", text)
         return self._mountings[role].apply(body.position, body.q)
-
-
-def _between(p: Array, q: Array) -> Array:
-    phi = np.empty(3)
-    quat.rotation_between(p, q, phi)
-    return phi

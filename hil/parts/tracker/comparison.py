@@ -13,7 +13,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.maths import linear, quat
 from hil.params.bench_budget import BenchSigma
-from hil.parts.tracker.encoder_poses import EncoderPoses, Moment, difference
+from hil.parts.tracker.encoder_poses import EncoderPoses, Moment, difference, mean_pose
 from hil.parts.tracker.frames import BodyPose, Mounting, TrackedFrame
 from hil.parts.tracker.table import Tracker
 from hil.parts.tracker.times import LatencyEstimate, TrackerClock
@@ -254,9 +254,7 @@ class BenchComparison:
         first = self._first[role]
         first.append(self._mountings[role].apply(body.position, body.q))
         if len(first) == _MEASURED:
-            position, q = first[0]
-            mean = np.array([difference(*each, position, q) for each in first]).mean(axis=0)
-            self._stood[role] = position + mean[:3], quat.multiply(quat.from_rotation_vector(mean[3:]), q)
+            self._stood[role] = mean_pose(first)
 
     def deviations(self, now_s: float) -> dict[str, Deviation]:
         """Return the mean difference of each body in the last ``WINDOW_S``, by its role, or the change of that mean

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -38,6 +39,13 @@ def difference(r: Array, q: Array, r_other: Array, q_other: Array) -> Array:
     rotation = np.empty(3)
     quat.rotation_between(q, q_other, rotation)
     return np.concatenate([r - r_other, rotation])
+
+
+def mean_pose(poses: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the mean of poses that are close to each other, r (3,), m, and q (4,)."""
+    r, q = poses[0]
+    mean = np.array([difference(*each, r, q) for each in poses]).mean(axis=0)
+    return r + mean[:3], quat.multiply(quat.from_rotation_vector(mean[3:]), q)
 
 
 class PoseTrack:
