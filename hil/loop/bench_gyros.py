@@ -27,7 +27,8 @@ class RateSource(Protocol):
 class BenchGyros:
     """Rates of ``source``, the IMU of ``rig.imu``, as the gyros of a chaser in orbit would measure them.
 
-    The table turns against the laboratory as the chaser does against H. Its true drift is not known, and nan.
+    It has one sample a cycle. The table turns against the laboratory as the chaser does against H. Its true drift is
+    nan: it is not known.
     """
 
     def __init__(self, source: RateSource, rig: Rig, memory: CoreMemory) -> None:
@@ -42,7 +43,6 @@ class BenchGyros:
         of_H = quat.transform(truth.q_CH, truth.w_HI_H - self._earth_H)
         imu.rate_C = quat.transform(self._to_c, self._source.mean_rate()) + of_H
         imu.drift_C = math.nan
-        self._now.samples["rate_C"], self._now.samples["drift_C"] = imu.rate_C, math.nan
 
     def close(self) -> None:
         """Release the wire."""

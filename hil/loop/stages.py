@@ -24,19 +24,23 @@ _NO_ARRIVALS = np.zeros(0, ARRIVAL).view(np.recarray)
 class DssStage:
     """Dynamics simulation (DSS): truth and virtual IMU. imu_noise: one row per sample.
 
-    sample_sink: receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE. ``gyros``: of the
+    sample_sink: receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE. gyros: of the
     bench, which the cycle reads in place of the virtual ones.
     """
 
-    gyros: BenchGyros | None = None
-
     def __init__(
-        self, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None = None
+        self,
+        memory: CoreMemory,
+        field: Array,
+        imu_noise: NormalRows,
+        sample_sink: Telemetry | None = None,
+        gyros: BenchGyros | None = None,
     ) -> None:
         self._params, self._state, self._samples = memory.params, memory.state, memory.now.samples
         self.field = field
         self.noise = imu_noise
         self.sample_sink = sample_sink
+        self.gyros = gyros
         self._row = np.zeros(1, IMU_SAMPLE)
 
     def step(self, k: int) -> None:

@@ -451,8 +451,8 @@ def _dss(
         return FloatingDss(memory, dynamics_params.field(scenario), noise, measured)
     stage = provided("models", "scenario") if scenario.models else lambda _, *parts: DssStage(*parts)
     sink = parts.sinks.get("imu_samples") if job.scenario.value.imu_samples > 1 else None
-    made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink)
-    made.gyros = None if parts.imu is None else BenchGyros(parts.imu, rig, memory)
+    gyros = None if parts.imu is None else BenchGyros(parts.imu, rig, memory)
+    made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink, gyros)
     return made
 
 

@@ -25,6 +25,7 @@ from hil.dynamics.thrusters import wrench
 from hil.errors import DeviceError
 from hil.frmn.ring import Telemetry
 from hil.loop import core
+from hil.loop.bench_gyros import BenchGyros
 from hil.loop.core_memory import CoreMemory
 from hil.loop.stages import DssStage
 from hil.maths import linear
@@ -66,8 +67,9 @@ class ModelDssStage(DssStage):
         field: Array,
         imu_noise: NormalRows,
         sample_sink: Telemetry | None = None,
+        gyros: BenchGyros | None = None,
     ) -> None:
-        super().__init__(memory, field, imu_noise, sample_sink)
+        super().__init__(memory, field, imu_noise, sample_sink, gyros)
         self._models = models
         self._dss, self._imu_params = kernel_record(memory.params.dss), kernel_record(memory.params.imu)
         self._truth_memory, self._imu_memory = memory.view("truth_memory"), memory.view("imu_memory")

@@ -14,6 +14,7 @@ from hil.config.tables.fmu_mapping import FmuMapping
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Telemetry
+from hil.loop.bench_gyros import BenchGyros
 from hil.loop.core_memory import CoreMemory
 from hil.maths.random_streams import NormalRows
 from hil.params import dynamics as dynamics_params
@@ -48,12 +49,17 @@ def plant_models(scenario: Scenario, params: np.record, loaded: Loaded[Scenario]
 
 
 def model_stage(
-    scenario: Scenario, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None
+    scenario: Scenario,
+    memory: CoreMemory,
+    field: Array,
+    imu_noise: NormalRows,
+    sample_sink: Telemetry | None,
+    gyros: BenchGyros | None,
 ) -> ModelDssStage:
     """Return the dynamics simulation of a run of ``scenario`` whose parts in FMUs replace built-in ones."""
     models = plant_models(scenario, memory.params.dss)
     assert models is not None
-    return ModelDssStage(models, memory, field, imu_noise, sample_sink)
+    return ModelDssStage(models, memory, field, imu_noise, sample_sink, gyros)
 
 
 def check_models(scenario: Loaded[Scenario], _: Loaded[Rig]) -> list[Problem]:
