@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hil.checks.combinations import problems_with
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import BUILTIN, Scenario
@@ -28,9 +29,4 @@ def check_floating(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
         "faults": (f"of {', '.join(simulated)}", "those of vmu and thrusters") if simulated else None,
         **{f"{name}.fmu": (f'"{part.fmu}"', "none: the vehicle is no model") for name, part in value.models.items()},
     }
-    text = "{}: does not go with the floating vehicle of rig {}, allowed {}"
-    return [
-        Problem(scenario.where(key), key, text.format(given[0], rig.value.name, given[1]))
-        for key, given in wrong.items()
-        if given is not None
-    ]
+    return problems_with(f"the floating vehicle of rig {rig.value.name}", scenario, wrong)

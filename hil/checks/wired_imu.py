@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hil.checks.combinations import problems_with
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -31,10 +32,5 @@ def check_wired_imu(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Proble
         if bench.target_axes is not None
         else None,
     }
-    text = "{}: does not go with the IMU on the table of rig {}, allowed {}"
-    return [
-        Problem(loaded.where(key.removeprefix("rig.")), key, text.format(given[0], bench.name, given[1]))
-        for loaded, table in ((scenario, of_scenario), (rig, of_rig))
-        for key, given in table.items()
-        if given is not None
-    ]
+    part = f"the IMU on the table of rig {bench.name}"
+    return [*problems_with(part, scenario, of_scenario), *problems_with(part, rig, of_rig)]

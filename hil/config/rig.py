@@ -1124,13 +1124,13 @@ class Rig(FileTable):
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""
-        wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
         lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
-        gyros = [self.imu.wire()] if self.imu is not None and self.kind != "mock" else []
-        return wires + lines + gyros + self.flight_computer.wires()
+        return self._device_wires() + lines + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""
+        return [wire.required_key for wire in self._device_wires() if wire.address is None]
+
+    def _device_wires(self) -> list[Wire]:
         wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
-        wires += [self.imu.wire()] if self.imu is not None else []
-        return [wire.required_key for wire in wires if wire.address is None]
+        return wires + ([self.imu.wire()] if self.imu is not None and self.kind != "mock" else [])
