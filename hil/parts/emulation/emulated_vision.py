@@ -31,7 +31,7 @@ from hil.maths import quat
 from hil.models.faults import SEED_BITS
 from hil.params import bench as bench_params
 from hil.params.sensors import sensors_of, settings_row
-from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorDatagrams
+from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorFrames
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.sensors.measurement import noise_of
 from hil.sensors.module import SensorKind
@@ -122,7 +122,7 @@ def emulated_sensor(
     datagrams = None
     if by_datagrams:
         sender = DatagramSender(clock, config.host, config.port)
-        datagrams = SensorDatagrams(sender, _datagrams(kind, config, trial))
+        datagrams = SensorFrames(sender, _datagrams(kind, config, trial))
     times = rate_hz, config.latency_s
     return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, datagrams)
 

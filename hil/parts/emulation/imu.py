@@ -21,7 +21,7 @@ from hil.drivers.vmu.frame_codec import frame_codec
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.params import bench as bench_params
-from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorDatagrams
+from hil.parts.emulation.line_sensor import LineSensorEmulator, SensorFrames
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.shared_state import SharedAxisState
 
@@ -65,5 +65,5 @@ def emulated_imu(
     def encoded(t_s: float, values: Sequence[float]) -> bytes:
         return codec.encode_rate(next(numbers), t_s, np.array(values))
 
-    line = SensorDatagrams(wire, encoded)
+    line = SensorFrames(wire, encoded)
     return LineSensorEmulator("imu", LineProtocol(), measure_at, (config.rate_hz, 0.0), clock, seed, line)

@@ -17,7 +17,7 @@ from hil.parts.emulation.pty_line import PtyLine
 _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is dropped
 
 
-class SensorDatagrams(NamedTuple):
+class SensorFrames(NamedTuple):
     """Wire of a sensor with frames of its own. encode: returns one by bench time, s, and measured components."""
 
     wire: DatagramSender | PtyLine
@@ -39,7 +39,7 @@ class LineSensorEmulator:
         times: tuple[float, float],
         clock: BenchClock,
         seed: int = 0,
-        datagrams: SensorDatagrams | None = None,
+        datagrams: SensorFrames | None = None,
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
         self._encode = datagrams.encode if datagrams else lambda _, values: protocol.encode(values)

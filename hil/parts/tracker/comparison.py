@@ -259,10 +259,10 @@ class BenchComparison:
     def deviations(self, now_s: float) -> dict[str, Deviation]:
         """Return the mean difference of each body in the last ``WINDOW_S``, by its role, or the change of that mean
         within a second if it is farther beyond its own bound."""
-        found: dict[str, Deviation] = {}
+        by_role: dict[str, Deviation] = {}
         moment = self._moment
         if moment is None:
-            return found
+            return by_role
         worth = self._worth_at(moment)
         for role, window in self._windows.items():
             while window and window[0].t_s < now_s - 3.0 * WINDOW_S:
@@ -276,9 +276,9 @@ class BenchComparison:
                 sigma, rate = math.sqrt(2.0) * now.sigma_m, now.rate - before.rate
                 bounds = self._bounds(sigma, (_LOCAL * worth[0], _LOCAL * worth[1]), rate, np.zeros(3))
                 deviations.append(Deviation(now.off - before.off, bounds))
-            found[role] = max(deviations, key=lambda each: each.excess)
-        self._is_beyond = any(each.excess > 1.0 for each in found.values())
-        return found
+            by_role[role] = max(deviations, key=lambda each: each.excess)
+        self._is_beyond = any(each.excess > 1.0 for each in by_role.values())
+        return by_role
 
     def _worth_at(self, moment: Moment) -> tuple[float, float]:
         """Return what a pose by the encoders is worth at ``moment``, 1 sigma, m and rad."""
@@ -309,18 +309,18 @@ class BenchComparison:
         position, attitude = self._bounds(self._table.sigma_m, self._worth_at(moment), moment.rate, moment.r)
         return np.repeat((position, attitude), 3) / self._table.bound_sigmas
 
-    def cause(self, found: Mapping[str, Deviation], axis_names: tuple[str, ...]) -> str:
+    def cause(self, deviations: Mapping[str, Deviation], axis_names: tuple[str, ...]) -> str:
         """Return what most likely has moved, or the axis whose error alone explains the chaser's difference best."""
-        chaser = found.get("chaser")
+        chaser = deviations.get("chaser")
         if chaser is None or chaser.excess < 1.0:
             return "the target has moved"
-        together = {role for role, each in found.items() if role != "chaser" and _is_alike(each, chaser)}
+        together = {role for role, each in deviations.items() if role != "chaser" and _is_alike(each, chaser)}
         if "reference" in together:
             return "all bodies have moved alike: the tracker has moved"
         if "target" in together:
             return (
                 "chaser and target have moved alike, the body on the floor has not: the base of the bench has moved"
-                if "reference" in found
+                if "reference" in deviations
                 else "chaser and target have moved alike: the tracker or the whole bench (see tracker.reference)"
             )
         assert self._moment is not None

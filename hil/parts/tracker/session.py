@@ -202,16 +202,16 @@ class TrackerWatch:
             alarms.raise_condition(table.SAMPLES.alarm(now_s, NAME, failure or silent_s, _SILENT_S))
         else:
             alarms.return_to_normal(NAME, table.SAMPLES.quantity)
-        found = self.comparison.deviations(last_s)
-        judged = {role: each for role, each in found.items() if role != "reference"}
+        deviations = self.comparison.deviations(last_s)
+        judged = {role: each for role, each in deviations.items() if role != "reference"}
         if not judged:
             return
-        self._statistics.add_deviation(found.get("chaser"), self.comparison.sigmas())
+        self._statistics.add_deviation(deviations.get("chaser"), self.comparison.sigmas())
         largest = max(judged.values(), key=lambda each: each.excess)
         if largest.excess <= 1.0 or math.isnan(self._beyond_s):
             self._beyond_s = now_s
         if now_s - self._beyond_s >= WINDOW_S and not self._off:  # then the means have its whole size
-            self._raise(now_s, largest, self.comparison.cause(found, self._axis_names))
+            self._raise(now_s, largest, self.comparison.cause(deviations, self._axis_names))
         elif largest.excess < _RECOVERED and self._off:
             self._off = False
             alarms.return_to_normal(NAME, table.BENCH_AGAINST_TRACKER.quantity)
