@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 
 from hil.config.tables.machine import NAMES, PARAMETERS
-from hil.core.files import MIB, read_text, write_text
+from hil.core.csv_table import read_csv
+from hil.core.files import MIB, write_text
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.parts.geometry.fit import UNIT
@@ -151,14 +152,7 @@ def write_plan(plan: GeometryPlan, path: str) -> None:
 
 def read_plan(path: str) -> Array:
     """Return the axes, (n, 6), m and rad, of a plan; raise BadInput."""
-    reader = csv.DictReader(io.StringIO(read_text(Path(path), MIB)), skipinitialspace=True)
-    names: Sequence[str] = [name.strip() for name in reader.fieldnames or ()]
-    if missing := [name for name in AXIS_COLUMNS if name not in names]:
-        raise BadInput.single(path, "", f"column {missing[0]} is missing; columns: {','.join(_COLUMNS)}")
-    try:
-        axes = np.array([[float(row[name]) for name in AXIS_COLUMNS] for row in reader])
-    except (TypeError, ValueError) as error:
-        raise BadInput.single(path, "", f"a number is missing or invalid: {error}") from error
-    if not len(axes) or not np.isfinite(axes).all():
-        raise BadInput.single(path, "", "contains no pose" if not len(axes) else "a number is not finite")
+    table = read_csv(Path(path), MIB, AXIS_COLUMNS, what="pose")
+    axes = np.array([[table.number(line, name, row[name]) for name in AXIS_COLUMNS] for line, row in table.rows])
+    table.check()
     return axes
