@@ -27,12 +27,14 @@ def board_image(
     u = (np.arange(columns)[:, None] + offset).ravel() - 0.5 * (columns - 1)
     v = (np.arange(rows)[:, None] + offset).ravel() - 0.5 * (rows - 1)
     back = Rotation.from_rotvec(turn).inv()
-    origin = back.apply(-t_m)
-    directions = back.apply(np.stack(np.broadcast_arrays(u[None, :], v[:, None], focal_px), axis=-1).reshape(-1, 3))
-    met = origin - directions * (origin[2] / directions[:, 2])[:, None]
-    at = np.floor((met[:, :2] / size_m + 0.5) * picture.shape[::-1]).astype(int)
-    inside = (at >= 0).all(axis=1) & (at < picture.shape[::-1]).all(axis=1)
-    levels = np.full(len(at), 60.0)
-    levels[inside] = 25.0 + 165.0 * picture[at[inside, 1], at[inside, 0]] / 255.0
+    origin, axes = back.apply(-t_m), back.as_matrix()
+    x, y, z = (axis[0] * u[None, :] + (axis[1] * v[:, None] + axis[2] * focal_px) for axis in axes)  # of each ray
+    factor = -origin[2] / z
+    high, wide = picture.shape
+    column, row = (origin[0] + factor * x) / size_m[0] + 0.5, (origin[1] + factor * y) / size_m[1] + 0.5
+    inside = (column >= 0.0) & (column < 1.0) & (row >= 0.0) & (row < 1.0)
+    at = (row[inside] * high).astype(int), (column[inside] * wide).astype(int)
+    levels = np.full(inside.shape, 60.0)
+    levels[inside] = 25.0 + 165.0 * picture[at] / 255.0
     light = gaussian_filter(levels.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3)), 0.8)
     return np.asarray(np.clip(np.rint(light + 1.2 * rng.standard_normal(shape)), 0, 255).astype(np.uint8))
