@@ -38,7 +38,7 @@ AXES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "t
 BEAT_S = 0.1
 STEP_S = 0.02
 BRAKES_S = 0.3
-STANDS_S = 1.0
+STANDS_S = 1.5
 """Time in which all axes stand, from full speed."""
 STILL = 2e-5
 """Motion of an axis in a cycle, m or rad, that is none: 1 mm/s, 0.06 deg/s."""
