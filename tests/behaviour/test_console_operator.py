@@ -159,7 +159,7 @@ def test_resume_that_the_gnc_delays_is_not_executed_later(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("word", ["start", "stop", "disarm"])
-def test_armed_bench_without_frames_starts_late_for_nobody_and_stops_at_once(
+def test_armed_bench_without_frames_never_starts_late_and_stops_at_once(
     word: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def script(talk: Talk) -> None:

@@ -142,7 +142,7 @@ class Hours:
         return self.base_s + self.now_s
 
     def page_sends(self, **message: Any) -> None:
-        """Send a request as the page does; a page that knows its updates to be old sends nothing but halts."""
+        """Send a request as the page does; one whose updates are old sends halts alone."""
         if self.wall_s() - self.seen_s > ACT_S and message.get("order") not in ("stop", "hold"):
             return
         self.number += 1
