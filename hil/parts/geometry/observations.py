@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -57,19 +57,36 @@ def joined(rows: list[PoseObservations]) -> PoseObservations:
 
 def write_observations(observations: PoseObservations, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
+    numbers = np.hstack([observations.axes, observations.value, observations.sigma])
+    sources = [str(source) for source in observations.source]
+    rows = zip(observations.pose, numbers, sources, strict=True)
+    write_table(path, COLUMNS, ([int(n), *map(_shown, row), source, BODIES[source]] for n, row, source in rows))
+
+
+def write_table(path: str, columns: Sequence[str], rows: Iterable[Sequence[object]], before: str = "") -> None:
+    """Write a CSV file, or append ``rows`` to the text ``before`` of one. Raises BadInput if it cannot be written."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for k in range(len(observations)):
-        numbers = np.concatenate([observations.axes[k], observations.value[k], observations.sigma[k]])
-        source = str(observations.source[k])
-        writer.writerow([int(observations.pose[k]), *(f"{x:.9g}" for x in numbers), source, BODIES[source]])
-    write_text(text.getvalue(), path)
+    csv.writer(text, lineterminator="\n").writerows([*([] if before else [columns]), *rows])
+    write_text(before + text.getvalue(), path)
+
+
+def _shown(value: float) -> str:
+    return f"{value:.9g}"
+
+
+def read_table(path: str, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield line number and cells of the ``columns`` of each row of a CSV file; raise BadInput."""
+    reader = csv.DictReader(io.StringIO(read_text(Path(path), _FILE_BYTES)), skipinitialspace=True)
+    header = [name.strip() for name in reader.fieldnames or ()]
+    if missing := [name for name in columns if name not in header]:
+        raise BadInput.single(path, "", f"column {missing[0]} is missing; columns: {','.join(columns)}")
+    for line, row in enumerate(reader, start=2):
+        yield line, {name: (row[name] or "").strip() for name in columns}
 
 
 def read_observations(path: str) -> PoseObservations:
     """Return the observations of a CSV file; raise BadInput."""
-    rows = list(_rows(path))
+    rows = list(read_table(path, COLUMNS))
     problems: list[Problem] = []
     values = []
     for line, row in rows:
@@ -94,15 +111,6 @@ def read_observations(path: str) -> PoseObservations:
         sigma,
         np.array([row["source"] for _, row in rows]),
     )
-
-
-def _rows(path: str) -> Iterator[tuple[int, dict[str, str]]]:
-    reader = csv.DictReader(io.StringIO(read_text(Path(path), _FILE_BYTES)), skipinitialspace=True)
-    header = [name.strip() for name in reader.fieldnames or ()]
-    if missing := [name for name in COLUMNS if name not in header]:
-        raise BadInput.single(path, "", f"column {missing[0]} is missing; columns: {','.join(COLUMNS)}")
-    for line, row in enumerate(reader, start=2):
-        yield line, {name: (row[name] or "").strip() for name in COLUMNS}
 
 
 def _number(path: str, line: int, column: str, text: str, problems: list[Problem]) -> float:
