@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.core.camera_images import ImageSink
 from hil.core.clock import BenchClock
 from hil.core.operator_commands import Operator
 from hil.core.realtime import SchedulingPolicy
 from hil.errors import BenchError
-from hil.frmn.image_memory import ImageMemory
 from hil.frmn.ring import Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.outcome import Outcome
 from hil.loop.sensor_stage import SampleSource
+
+if TYPE_CHECKING:
+    from hil.core.camera_images import ImageSink
+    from hil.frmn.image_memory import ImageMemory
 
 
 class RunSinks(Protocol):
