@@ -259,6 +259,7 @@ class Runner:
             case OperatorCommand.JOG:
                 self._sequencer.jog()
             case OperatorCommand.ARM:
+                self._check_standing()
                 self._sequencer.place()
                 self._modes.go(Mode.ARMED)
                 self._missing_frames = self._plan.frames_to_arm
@@ -279,6 +280,14 @@ class Runner:
         if self._plan.park_position is not None:
             self._sequencer.park(self._plan.park_position)
         self._parked = True
+
+    def _check_standing(self) -> None:
+        """Let the bench stand until the parts that check it so have done."""
+        pending = [*self.parts.before_motion]
+        while pending:
+            self._stand_by()
+            now_s, feedback = self.rate.now_s(), self.loop.now.feedback
+            pending = [check for check in pending if not check(now_s, feedback)]
 
     def _close_the_loop(self) -> None:
         self._sequencer.seed_for_run()

@@ -80,6 +80,9 @@ class SessionParts:
     """Return, at the end, the numbers of ``Outcome.measured``."""
     before_open: list[Callable[[], None]] = field(default_factory=list)
     """Called before each opening of the devices; raise BenchError if the bench must not run."""
+    before_motion: list[Callable[[float, np.record], bool]] = field(default_factory=list)
+    """Called with bench time and FEEDBACK while the bench stands, before it moves to the start of a run, until they
+    return True; raise BenchError if it must not move."""
     process_pauses: Callable[[], dict[str, float]] = dict
     """Returns the pauses by the host, s, of the processes that serve the devices."""
     process_failures: Callable[[BenchError], str | None] = lambda _: ""

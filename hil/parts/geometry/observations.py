@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -54,14 +55,21 @@ def joined(rows: list[PoseObservations]) -> PoseObservations:
 
 def write_observations(observations: PoseObservations, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
+    numbers = np.hstack([observations.axes, observations.value, observations.sigma])
+    sources = [str(source) for source in observations.source]
+    rows = zip(observations.pose, numbers, sources, strict=True)
+    write_table(path, COLUMNS, ([int(n), *map(_shown, row), source, BODIES[source]] for n, row, source in rows))
+
+
+def write_table(path: str, columns: Sequence[str], rows: Iterable[Sequence[object]], before: str = "") -> None:
+    """Write a CSV file, or append ``rows`` to the text ``before`` of one. Raises BadInput if it cannot be written."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for k in range(len(observations)):
-        numbers = np.concatenate([observations.axes[k], observations.value[k], observations.sigma[k]])
-        source = str(observations.source[k])
-        writer.writerow([int(observations.pose[k]), *(f"{x:.9g}" for x in numbers), source, BODIES[source]])
-    write_text(text.getvalue(), path)
+    csv.writer(text, lineterminator="\n").writerows([*([] if before else [columns]), *rows])
+    write_text(before + text.getvalue(), path)
+
+
+def _shown(value: float) -> str:
+    return f"{value:.9g}"
 
 
 def read_observations(path: str) -> PoseObservations:

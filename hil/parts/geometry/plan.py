@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +11,12 @@ import numpy as np
 
 from hil.config.tables.machine import NAMES, PARAMETERS
 from hil.core.csv_table import read_csv
-from hil.core.files import MIB, write_text
+from hil.core.files import MIB
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.parts.geometry.fit import UNIT
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import AXIS_COLUMNS
+from hil.parts.geometry.observations import AXIS_COLUMNS, write_table
 from hil.parts.vision.view_plan import IsClear, short_way
 
 _CANDIDATES: Final = 5  # per pose
@@ -142,12 +140,8 @@ def _most_informative(slopes: Array, count: int) -> tuple[list[int], list[str]]:
 
 def write_plan(plan: GeometryPlan, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for k, (axes, reason) in enumerate(zip(plan.axes, plan.reasons, strict=True), start=1):
-        writer.writerow([k, *(f"{x:.9g}" for x in axes), reason])
-    write_text(text.getvalue(), path)
+    rows = enumerate(zip(plan.axes, plan.reasons, strict=True), start=1)
+    write_table(path, _COLUMNS, ([k, *(f"{x:.9g}" for x in axes), reason] for k, (axes, reason) in rows))
 
 
 def read_plan(path: str) -> Array:
