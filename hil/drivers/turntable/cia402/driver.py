@@ -62,8 +62,7 @@ class Cia402Link:
             base + node.node_id: handler
             for node in self._nodes
             for base, handler in (
-                (codec.TPDO1_ID, node.on_feedback),
-                (codec.TPDO2_ID, node.on_status),
+                *zip((pdo.identifier for pdo in self._eds.reports), node.report_handlers(self._eds), strict=True),
                 (codec.EMCY_ID, node.on_emergency),
                 (codec.HEARTBEAT_ID, node.on_heartbeat),
             )
@@ -178,7 +177,7 @@ class Cia402Link:
         setpoints = [node.setpoint() for node in self._nodes]
         for node in self._nodes:
             node.answered = False
-        port.send(*controls, *setpoints, (self._sync_id, b""))
+        port.send(*dict.fromkeys((*controls, *setpoints)), (self._sync_id, b""))
         return self._collect(port, self._clock.now_s())
 
     def home(self) -> None:

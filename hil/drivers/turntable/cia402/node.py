@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from hil.config.rig import Cia402, GimbalAxis, RotaryAxes
@@ -11,6 +12,7 @@ from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
+from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup
 from hil.drivers.turntable.cia402.units import Units
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
@@ -22,6 +24,7 @@ _SLACK: Final = 2.0  # times the largest rate of the axis
 _MODE_WALL_S: Final = 2.0
 _EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones are part of the same burst
 _RATE_SAMPLES: Final = 5  # feedback over which the rate of a drive without a unit of velocity is taken
+_WORD_BYTES: Final = 2  # of the statusword
 _MESSAGES: Final = ("answer to SYNC", "statusword", "heartbeat")
 
 
@@ -178,11 +181,15 @@ class Node:
     def setpoint(self) -> tuple[int, bytes]:
         """Return the frame of the setpoint."""
         plain = codec.encode_plain_setpoint(self.target)
+        if (pdo := self._sdo.command_pdo) is not None:
+            return pdo.identifier + self.node_id, codec.encode_control(self.controlword) + plain
         data = codec.encode_setpoint(self.target, self.offset) if self._sdo.has_offset else plain
         return codec.RPDO1_ID + self.node_id, data
 
     def control(self) -> tuple[int, bytes]:
         """Return the frame of the controlword."""
+        if self._sdo.command_pdo is not None:
+            return self.setpoint()
         return codec.RPDO2_ID + self.node_id, codec.encode_control(self.controlword)
 
     def facts(self) -> str:
@@ -191,6 +198,10 @@ class Node:
         guards = " and ".join(setup.watchdogs)
         guard = f"watchdog {guards}, {setup.watchdog_s:g} s" if guards else "no watchdog"
         return f"{self.name}: {codec.MODE_NAMES[setup.stream]}, {setup.units}, {guard}"
+
+    def report_handlers(self, eds: Eds) -> tuple[Callable[[bytes], None], ...]:
+        """Return the methods that receive the PDOs of ``eds.reports``."""
+        return (self.on_report,) if len(eds.reports) == 1 else (self.on_feedback, self.on_status)
 
     def check_silence(self, now_s: float) -> None:
         """Raise LinkTimeout if an expected message has not been received for too long."""
@@ -220,6 +231,11 @@ class Node:
         self._position_s = now_s if self.homing is Homing.DONE else None
         self.answered = True
         self._received_s[0] = now_s
+
+    def on_report(self, data: bytes) -> None:
+        """Receive statusword and position in one message."""
+        self.on_status(data[:_WORD_BYTES])
+        self.on_feedback(data[_WORD_BYTES:])
 
     def on_status(self, data: bytes) -> None:
         """Receive statusword and digital inputs; raise DriveFault for an unexpected state."""
