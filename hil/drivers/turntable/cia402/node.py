@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup
 from hil.drivers.turntable.cia402.units import Units
-from hil.errors import DriveFault, LinkTimeout, ProtocolError
+from hil.errors import DeviceError, DriveFault, LinkTimeout, ProtocolError
 
 BURST: Final = 4  # consecutive implausible frames that end the link
 _STANDSTILL_RADPS: Final = 2e-3
@@ -24,6 +25,7 @@ _SLACK: Final = 2.0  # times the largest rate of the axis
 _MODE_WALL_S: Final = 2.0
 _EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones are part of the same burst
 _RATE_SAMPLES: Final = 5  # feedback over which the rate of a drive without a unit of velocity is taken
+_TORQUE_FRACTION: Final = 0.3  # of the limit that is set, for the first move of commissioning
 _WORD_BYTES: Final = 2  # of the statusword
 _MESSAGES: Final = ("answer to SYNC", "statusword", "heartbeat")
 
@@ -53,6 +55,9 @@ class Node:
         self.units = Units(wire.counts_per_turn / math.tau, None)
         self.homing = Homing.DONE if axis.encoder == "absolute" else Homing.NEEDED
         self.protocol_errors = self.surplus = self.warnings = 0
+        self.torque = ""
+        """Result of the last change of the torque limit; "" while it is under way."""
+        self._torque: int | None = None  # the limit to restore
         self.reset()
 
     def reset(self, position: int | None = None) -> None:
@@ -105,6 +110,32 @@ class Node:
         is_enabled = self._sdo.continue_enabling(_STANDSTILL_RADPS)
         self.target, self.offset = self._sdo.position, 0
         return is_enabled
+
+    def limit_torque(self, reduced: bool) -> bool:
+        """Reduce the torque limit to a fraction of what it is set to, or restore it; ``torque`` is the result."""
+        sdo, name = self._sdo, codec.object_name(codec.MAX_TORQUE)
+        present = self._torque if self._torque is not None else sdo.read(codec.MAX_TORQUE)
+        if present is None:
+            self.torque = f"{name} is missing: full torque"
+            return True
+        present &= 0xFFFF
+        limit = round(_TORQUE_FRACTION * present) if reduced else present
+        try:
+            sdo.set(codec.MAX_TORQUE, limit, 2)
+        except ProtocolError as error:
+            if not reduced:
+                raise
+            self.torque = f"{error.what}: full torque"
+            return True
+        self._torque = present if reduced else None
+        self.torque = f"torque at most {limit} per mille of the rated one ({name}" + (", reduced)" if reduced else ")")
+        return True
+
+    def restore_torque(self) -> None:
+        """Restore the torque limit if it is reduced; a bus that is gone leaves it."""
+        if self._torque is not None:
+            with contextlib.suppress(DeviceError):
+                self.limit_torque(reduced=False)
 
     def begin_homing(self) -> bool:
         """Request homing mode, and start homing once the bits of the statusword are those of that mode.
