@@ -49,7 +49,10 @@ def test_torque_limit_is_restored_when_the_link_is_closed(ends: str) -> None:
 
 @pytest.mark.parametrize(
     ("habit", "text"),
-    [({"missing": (0x6072,)}, "0x6072 is missing: full torque"), ({"aborts": (0x6072,)}, "refuses object 0x6072 = 300")],
+    [
+        ({"missing": (0x6072,)}, "0x6072 is missing: full torque"),
+        ({"aborts": (0x6072,)}, "refuses object 0x6072 = 300"),
+    ],
 )
 def test_drive_without_a_torque_limit_is_said(habit: dict, text: str) -> None:
     with served("cia402", cia402={"emulated": DriveHabits(**habit)}) as (_, device, clock):
