@@ -21,7 +21,9 @@ PARK_DEG = (3.0, -2.0, 0.5)
 PATIENCE_S = 20.0
 
 
-def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, protocol=None, **of_axes):
+def turntable(
+    driver, address=None, interface="serial", timeout_s=0.4, cia402=None, protocol=None, line=None, **of_axes
+):
     shipped = "acu" if driver == "acu" else "hil-ascii"
     axes = [
         GimbalAxis(
@@ -37,7 +39,7 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=No
         pitch=axes[1],
         yaw=axes[2],
         cia402=Cia402(interface=interface, channel=address, **(cia402 or {})),
-        ascii=AsciiTurntableLine(port=address, protocol=protocol or shipped),
+        ascii=AsciiTurntableLine(port=address, protocol=protocol or shipped, **(line or {})),
     )
 
 
