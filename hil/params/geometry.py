@@ -40,7 +40,8 @@ def set_geometry(params: np.record, rig: Rig, vector: Array | None) -> None:
         legendre[:, 3:] = of[f"{name}_rotation_deg"].reshape(3, 3).T
         across = [axis for axis in range(3) if axis != i]
         legendre[1:, across] = of[f"{name}_straightness_m"].reshape(2, 2).T
-        g.rail[i] = np.einsum("kp,km->pm", _POWERS, legendre)
+        terms = [np.multiply.outer(powers, row) for powers, row in zip(_POWERS, legendre, strict=True)]
+        g.rail[i] = terms[0] + terms[1] + terms[2]
     moves = g.inverse > 0.0
     g.squareness = of["squareness_deg"] * [moves[1], moves[2], moves[2]]
     outer, middle, inner = params.order
