@@ -347,7 +347,7 @@ class AsciiTurntableLine(SerialLine):
     port: str | None = None
     """Serial port, or `tcp://HOST:PORT`."""
     protocol: str = "hil-ascii"
-    """Command set: `hil-ascii`, `acu` or the path of a protocol file."""
+    """Command set: `hil-ascii`, `acu`, `aerotech-ensemble` or the path of a protocol file."""
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)
     """Expected model, serial and firmware of the controller; omitted ones are not checked."""
 

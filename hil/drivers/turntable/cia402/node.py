@@ -26,6 +26,8 @@ _MODE_WALL_S: Final = 2.0
 _EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones are part of the same burst
 _RATE_SAMPLES: Final = 5  # feedback over which the rate of a drive without a unit of velocity is taken
 _TORQUE_FRACTION: Final = 0.3  # of the limit that is set, for the first move of commissioning
+_RATE_LAG_S: Final = 0.02  # of the velocity that a drive measures
+_REPEATABILITY_RAD: Final = math.radians(0.05)
 _WORD_BYTES: Final = 2  # of the statusword
 _MESSAGES: Final = ("answer to SYNC", "statusword", "heartbeat")
 
@@ -45,6 +47,7 @@ class Node:
         self._axis = axis
         self._wire = wire
         self._clock = clock
+        self._is_unprotected = wire.interface in ("serial", "slcan")
         self._enabled_word = codec.ENABLE_OPERATION
         self._rate_max = math.radians(axis.rate_max_degps)
         self._acceleration = math.radians(axis.acceleration_max_degps2)
@@ -81,6 +84,7 @@ class Node:
         self._position_s: float | None = now_s if position is not None and self.homing is Homing.DONE else None
         self._samples: deque[tuple[float, int]] = deque(maxlen=_RATE_SAMPLES)
         self._implausible_in_a_row = 0
+        self._departed: tuple[float, int, float] | None = None
         self._emergency_s = -math.inf
         self._received_s = [now_s] * len(_MESSAGES)
 
@@ -256,6 +260,9 @@ class Node:
             shown = math.degrees(rate)
             self._count_implausible(f"jumps from {self.position} to {position} counts at {shown:.4g} deg/s")
             return
+        if self._is_unconfirmed(position, rate, now_s):
+            self._count_implausible(f"moves from {self.position} to {position} counts, against its acceleration")
+            return
         self._implausible_in_a_row = 0
         self._samples.append((now_s, position))
         self.position, self.rate = position, rate
@@ -332,6 +339,29 @@ class Node:
         path = _SLACK * self._rate_max * (now_s - self._position_s) + math.radians(self._margin_deg)
         step = abs(position - self.position) / self.units.position
         return step > path or abs(rate) > 2 * _SLACK * self._rate_max
+
+    def _is_unconfirmed(self, position: int, rate: float, now_s: float) -> bool:
+        """Return whether a position departs from the motion so far, on a wire without a checksum.
+
+        It is accepted when the next one continues it: a true departure costs one exchange, a damaged frame is left out.
+        """
+        sample, departed = (now_s, position, rate), self._departed
+        self._departed = None
+        if not self._is_unprotected or self._position_s is None:
+            return False
+        if self._continues((self._position_s, self.position, self.rate), sample):
+            return False
+        if departed is not None and self._continues(departed, sample):
+            return False
+        self._departed = sample
+        return True
+
+    def _continues(self, before: tuple[float, int, float], sample: tuple[float, int, float]) -> bool:
+        """Return whether a sample (time, position, rate) continues the one before within the acceleration."""
+        dt_s = sample[0] - before[0]
+        path = (sample[1] - before[1]) / self.units.position - 0.5 * (before[2] + sample[2]) * dt_s
+        lag_s = _RATE_LAG_S if self._sdo.has_velocity else _RATE_SAMPLES * dt_s
+        return abs(path) <= self._acceleration * dt_s * (dt_s + lag_s) + _REPEATABILITY_RAD
 
     def _is_bad(self, state: DriveState | None) -> bool:
         stopping = self.controlword in (codec.QUICK_STOP, codec.DISABLE_VOLTAGE)
