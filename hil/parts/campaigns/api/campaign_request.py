@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from hil.api.jobs import BackendArguments, Settings, job_of
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.go_level import go_warnings
 from hil.checks.unseen import unseen_warnings
 from hil.config.scenario import Scenario
@@ -105,7 +106,8 @@ class CampaignRequest:
         jobs = self._jobs(sweep)
         for job in jobs:
             scenario = job.scenario.value
-            for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig)):
+            ages = ephemeris_warnings(scenario, job.rig, job.duration_s)
+            for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig), *ages):
                 warn(line)
         study = self._study(jobs[0])
         with ExitStack() as held:
