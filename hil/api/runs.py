@@ -182,7 +182,7 @@ def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
     scenario, rig = job.scenario.value, job.rig.value
-    ages = ephemeris_warnings(scenario, rig, job.duration_s)
+    ages = ephemeris_warnings(scenario, rig, job.duration_s, job.seed)
     for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig), *ages):
         request.announce(line)
     with ExitStack() as stack:

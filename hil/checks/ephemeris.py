@@ -26,14 +26,17 @@ from hil.maths.random_streams import noise_source
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params.ephemeris import longest_run_s, row_interval_s, true_frames
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.model import VISION_NOISE
 
 _DRAWS: Final = 15  # of the noise of the poses
 
 
 class EphemerisLimit(NamedTuple):
-    """Time for which the GNC's orbit is good: median over the noise of the poses, shortest and longest, s.
+    """Time for which the GNC's orbit is good, shortest and longest by the noise of the poses, s.
 
-    inf: for the whole run. error_radps: largest error of its rate of H, about ``axis``.
+    good_for_s: with the noise of the run's seed, otherwise the median; inf: for the whole run. error_radps: largest
+    error of its rate of H, about ``axis``.
     """
 
     good_for_s: float
@@ -65,11 +68,20 @@ def check_length(scenario: Loaded[Scenario], length_s: float) -> list[Problem]:
     return [Problem(scenario.where(key), key, text)]
 
 
-def ephemeris_limit(scenario: Scenario, rig: Rig, length_s: float) -> EphemerisLimit | None:
-    """Return how long of a run of ``length_s`` the GNC's orbit is good for; None if the filters do not follow one."""
+def ephemeris_limit(scenario: Scenario, rig: Rig, length_s: float, seed: int | None) -> EphemerisLimit | None:
+    """Return how long of a run of ``length_s`` the GNC's orbit is good for; None if the filters do not follow one.
+
+    seed: of the run, if the poses are simulated with its noise.
+    """
     gnc = scenario.gnc
     orbits = scenario.truth.relative_motion == "nonlinear" and scenario.target.motion == "aligned"
-    if not (orbits and rig.has_vmu and gnc.binary is None and gnc.navigation.backend in BUILT_IN["navigation"]):
+    if not (
+        length_s > 0.0
+        and orbits
+        and rig.has_vmu
+        and gnc.binary is None
+        and gnc.navigation.backend in BUILT_IN["navigation"]
+    ):
         return None
     params, row_s = gnc_params.navigation(scenario), row_interval_s(dynamics_params.known_orbit(scenario))
     rows, orbit = true_frames(scenario, row_s, math.ceil(length_s / row_s) + 2), params.fusion.orbit
@@ -77,22 +89,25 @@ def ephemeris_limit(scenario: Scenario, rig: Rig, length_s: float) -> EphemerisL
     for k, row in enumerate(rows):
         frame_rate(orbit, k * row_s, known)
         error[k] = -known[0], -row[0] - known[1], row[1] - known[2]
-    poses, alarms = math.floor(length_s * rig.vmu.rate_hz), []
+    noise, alarms = np.empty((math.floor(length_s * rig.vmu.rate_hz), VISION_NOISE)), []
     farther = linear.length(gnc.guidance.ready_point_m) / scenario.vmu.reference_range_m
-    sigma = math.radians(scenario.vmu.sigma_angle_deg) * max(1.0, farther)
-    for draw in range(_DRAWS):
-        noise = noise_source(draw, "vision").standard_normal((poses, 3))
+    sigma, q_vc = math.radians(scenario.vmu.sigma_angle_deg) * max(1.0, farther), vmu_params.mounting(rig).q_vc.copy()
+    own = seed is not None and scenario.vmu.source == "model" and rig.kind != "hardware"
+    for draw in (*([seed] if own else []), *range(_DRAWS)):
+        noise_source(draw, "vision").standard_normal(out=noise)
         alarm_s = alarm_by_rate_error(
             params.fusion.akf, params.integrity, new(INTEGRITY_STATE), new(DOUBTS), error, row_s,
-            1.0 / rig.vmu.rate_hz, noise, sigma,
+            1.0 / rig.vmu.rate_hz, noise, sigma, q_vc,
         )  # fmt: skip
         alarms.append(math.inf if math.isnan(alarm_s) else alarm_s)
+    good_for_s, (worst, axis) = alarms[0], divmod(int(np.abs(error).argmax()), 3)
     alarms.sort()
-    worst, axis = divmod(int(np.abs(error).argmax()), 3)
-    return EphemerisLimit(alarms[_DRAWS // 2], alarms[0], alarms[-1], float(abs(error[worst, axis])), axis)
+    if not own:
+        good_for_s = alarms[_DRAWS // 2]
+    return EphemerisLimit(good_for_s, alarms[0], alarms[-1], float(abs(error[worst, axis])), axis)
 
 
-def ephemeris_warnings(scenario: Scenario, rig: Rig, length_s: float) -> list[str]:
-    """Return a line if the GNC's orbit is not good for the whole run of ``length_s``."""
-    limit = ephemeris_limit(scenario, rig, length_s)
+def ephemeris_warnings(scenario: Scenario, rig: Rig, length_s: float, seed: int | None = None) -> list[str]:
+    """Return a line if the GNC's orbit is not good for the whole run; arguments: see ``ephemeris_limit``."""
+    limit = ephemeris_limit(scenario, rig, length_s, seed)
     return list(filter(None, [limit and limit.text(scenario, length_s)]))

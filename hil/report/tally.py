@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.checks.ephemeris import ephemeris_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
@@ -140,11 +139,7 @@ class Tally:
             ),
             navigation=NavigationResults(**navigation_numbers(stats.navigation), **self._bound.rows()),
             thrusters=thrusters,
-            orbit={
-                "body": scenario.orbit.body,
-                "eclipse_s": step_s * float(stats.shadow_cycles),
-                "ephemeris": next(iter(ephemeris_warnings(scenario, self._rig, step_s * int(stats.cycles))), None),
-            },
+            orbit={"body": scenario.orbit.body, "eclipse_s": step_s * float(stats.shadow_cycles)},
             bench=BenchResults(
                 **self._rails.as_json("rail_error", "m"),
                 **self._gimbals.as_json("gimbal_error", "deg"),

@@ -11,19 +11,19 @@ import math
 
 from hil.core.jit import entry
 from hil.gnc.estimation import integrity, parameter_doubts
-from hil.maths import stack
+from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
 
 @entry
-def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, noise, sigma):
+def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, noise, sigma, q_vc):
     """Return the time of the run at which vision is accused, s, nan if never.
 
     akf, params: AKF_PARAMS, INTEGRITY_PARAMS. state, doubts: INTEGRITY_STATE, DOUBTS, zeroed. error: of the rate,
-    (n, 3), rad/s, in H, every ``row_s``. interval_s: between two poses. noise: standard normals, one row per pose,
-    (m, 3), of poses with ``sigma``, rad.
+    (n, 3), rad/s, in H, every ``row_s``. interval_s: between two poses. noise: standard normals of the vision unit,
+    (m, 6), a row per pose. sigma: of their angles, rad. q_vc: from c to the axes of the camera.
     """
-    turned, drift, innovation = stack.vector(3), stack.vector(3), stack.vector(6)
+    of_pose, turned, drift, innovation = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(6)
     p00, p01, p11, gain = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     fill(turned, 0.0)
     fill(drift, 0.0)
@@ -36,6 +36,7 @@ def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, no
         at = min(pose * interval_s / row_s, error.shape[0] - 1.000001)
         row = int(at)
         nis = 0.0
+        quat.transform_back_into(q_vc, noise[pose, 3:6], of_pose)
         for i in range(3):
             rate = error[row, i] + (at - row) * (error[row + 1, i] - error[row, i])
             turned[i] += interval_s * (rate - drift[i])
@@ -43,7 +44,7 @@ def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, no
             p01[i] += interval_s * p11[i]
             p11[i] += interval_s * akf.dt_s * (akf.sigma_drift**2 + akf.rate_noise[i] ** 2) + doubts.drift**2
             gain[i] = 1.0 / (p00[i] + sigma * sigma)
-            innovation[3 + i] = (turned[i] + sigma * noise[pose, i]) * math.sqrt(gain[i])
+            innovation[3 + i] = (turned[i] + sigma * of_pose[i]) * math.sqrt(gain[i])
             nis += innovation[3 + i] ** 2
         doubts.drift = 0.0
         rejected += 1
