@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hil.checks import compatibility
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
+from hil.checks.ephemeris import check_length
 from hil.checks.faults import check_faults, check_sensors
 from hil.checks.floating import check_floating
 from hil.checks.lock_step import check_lock_step
@@ -40,6 +41,7 @@ def check(job: Job) -> None:
         *check_floating(job.scenario, job.rig),
         *check_wired_imu(job.scenario, job.rig),
         *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
+        *check_length(job.scenario, job.cycles * job.scenario.value.step_s),
         *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
         *compatibility.check_scenario_limits(job.scenario, job.rig),
         *(compatibility.check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from hil.api.jobs import BackendArguments, Settings, job_of
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.go_level import go_warnings
 from hil.checks.unseen import unseen_warnings
 from hil.config.scenario import Scenario
@@ -109,7 +110,8 @@ class CampaignRequest:
             held.callback(engine.close)
             for job in jobs:
                 scenario = job.scenario.value
-                for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig)):
+                ages = ephemeris_warnings(scenario, job.rig, job.duration_s)
+                for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig), *ages):
                     warn(line)
             out = self.out
             if out is None:
