@@ -1,4 +1,4 @@
-"""Adapters that collect bytes for 16 ms: the rate that is promised is the one measured, else preflight says it."""
+"""Adapters that collect bytes for 16 ms: the rate that is promised is the one measured, or preflight has a line for it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def serial_device(kind: str) -> Iterator[Serving]:
 
 
 def undeclared(table: AxisGroupTable) -> AxisGroupTable:
-    """Return the table of a lab that does not know its adapter."""
+    """Return the table of a lab that ignores its adapter."""
     wires = {
         name: wire.model_copy(update={"adapter_latency_s": 0.0})
         for name in ("rtu", "cia402", "ascii")
@@ -46,7 +46,7 @@ def undeclared(table: AxisGroupTable) -> AxisGroupTable:
 
 
 @pytest.mark.parametrize("kind", ["modbus_rtu", "cia402", "ascii", "acu"])
-def test_rate_of_a_line_with_an_adapter_is_measured_and_said(kind: str, monkeypatch) -> None:
+def test_rate_of_a_line_with_an_adapter_is_measured_and_shown(kind: str, monkeypatch) -> None:
     with serial_device(kind) as (device, clock, table):
         monkeypatch.setattr(time, "sleep", clock.sleep)
         declared_hz, other_hz = (_promised_hz(each, device.name) for each in (table, undeclared(table)))

@@ -72,7 +72,7 @@ def test_fault_in_a_report_of_one_pdo_is_a_drive_fault(tmp_path) -> None:
             device.read(clock.now_s())
 
 
-def test_drive_of_another_device_type_is_one_if_its_data_sheet_says_so(tmp_path) -> None:
+def test_drive_of_another_device_type_is_one_by_its_data_sheet(tmp_path) -> None:
     path = with_pdos(tmp_path, *ONE_EACH)
     path.write_text(path.read_text().replace("DefaultValue=0x20192", "DefaultValue=0x00220811"))
     with served("cia402", cia402={"eds_file": str(path)}) as (_, device, clock):

@@ -54,7 +54,7 @@ def test_torque_limit_is_restored_when_the_link_is_closed(ends: str) -> None:
         ({"aborts": (0x6072,)}, "refuses object 0x6072 = 300"),
     ],
 )
-def test_drive_without_a_torque_limit_is_said(habit: dict, text: str) -> None:
+def test_drive_without_a_torque_limit_is_named(habit: dict, text: str) -> None:
     with served("cia402", cia402={"emulated": DriveHabits(**habit)}) as (_, device, clock):
         assert limit(device, clock, True).startswith(text)
         assert limit(device, clock, True).endswith("full torque")

@@ -1,4 +1,4 @@
-"""Requests beside the cycle: open, home, torque, close. One JSON line each way over a socket pair."""
+"""Requests outside of the cycle: open, home, torque, close. One JSON line each way over a socket pair."""
 
 from __future__ import annotations
 

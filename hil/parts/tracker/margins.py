@@ -1,4 +1,4 @@
-"""What the bench's own pose is worth against Table III: margins from the go on, in standard deviations of the bench."""
+"""What the bench's own pose is worth against Table III: margins after the go, in standard deviations of the bench."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FLOOR: Final = 1e-12  # m, deg, of a bench that is exact
 def table_iii_margins(scenario: Scenario, worth: BenchSigma, outcome: Outcome) -> tuple[dict[str, Any], str]:
     """Return the standard deviations of the pose at the end of a run with the margins, and why there is no verdict.
 
-    The margins are the least from the go on; without one, in the last ``required_ready_s``.
+    The margins are the least after the go; without one, in the last ``required_ready_s``.
     """
     history, requirements = outcome.history, scenario.requirements
     feedback = history[-1]["feedback"]

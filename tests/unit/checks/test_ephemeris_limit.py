@@ -38,7 +38,7 @@ def test_orbit_with_the_harmonics_of_the_truth_is_good_for_the_whole_hold() -> N
     assert math.degrees(limit.error_radps) < 1e-9
 
 
-def test_vision_is_accused_when_the_limit_says_so() -> None:
+def test_vision_is_accused_at_the_limit() -> None:
     scenario, length_s = load_scenario("leo-vbar").value, 4400.0
     runner = CaseRunner(scenario, RIG, length_s)
     for seed in (0, 4):
@@ -48,7 +48,7 @@ def test_vision_is_accused_when_the_limit_says_so() -> None:
         assert float(stats.integrity.limits.aborted_at_s) == pytest.approx(limit.good_for_s, rel=0.02)
 
 
-def test_filters_follow_the_harmonics_they_are_told() -> None:
+def test_filters_follow_the_harmonics_of_their_ephemeris() -> None:
     told = ("gnc.ephemeris.gravity_degree=6", "gnc.ephemeris.rate_sigma_degps=[0,3e-7,1e-8]")
     scenario, length_s = load_scenario("leo-vbar", told).value, 4400.0
     stats, _ = CaseRunner(scenario, RIG, length_s).run(scenario, 4)

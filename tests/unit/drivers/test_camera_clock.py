@@ -113,7 +113,7 @@ def test_two_cameras_without_stamps_make_pairs_with_times_of_exposure(rate_hz: f
     assert pairing.counters["odd_numbers"] == 0
 
 
-def test_frame_without_stamp_and_trigger_is_as_old_as_the_rig_file_says(rng: np.random.Generator) -> None:
+def test_frame_without_stamp_and_trigger_is_as_old_as_by_the_rig_file(rng: np.random.Generator) -> None:
     clock, errors_s = CameraClock(0.02, triggered=False), []
     for k in range(1000):
         exposed_s = k * PERIOD_S

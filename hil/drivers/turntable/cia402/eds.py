@@ -38,7 +38,7 @@ _STREAMS: Final = {
     codec.INTERPOLATED_POSITION: (codec.INTERPOLATION_DATA, 1),
 }
 """Modes that follow setpoints, in the order in which they are preferred, and the object of the setpoint."""
-_FUNCTION: Final = 0x780  # bits of an identifier beside the node id
+_FUNCTION: Final = 0x780  # bits of an identifier apart from the node id
 _COMMANDS: Final = (codec.SETPOINT_PDO_PLAIN, codec.CONTROL_PDO, codec.COMMAND_PDO)
 _INTERPOLATED_COMMANDS: Final = (codec.INTERPOLATION_PDO, codec.CONTROL_PDO, codec.INTERPOLATED_COMMAND_PDO)
 _REPORTS: Final = (codec.FEEDBACK_PDO_PLAIN, codec.STATUS_PDO_PLAIN, codec.REPORT_PDO)
