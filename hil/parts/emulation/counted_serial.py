@@ -51,14 +51,9 @@ class CountedSerial(serial.Serial):  # type: ignore[misc]
         return data
 
     def write(self, data: Any) -> int:
+        """Write at once: pyserial's time-out, of the wall clock, also ends a write that a pause has delayed."""
         assert self.wire is not None
-        self.wire.sending(len(data))
-        taken = 0
-        try:
-            taken = super().write(data) or 0
-        finally:
-            self.wire.sending(taken - len(data))
-        return taken
+        return self.wire.write(self.fileno(), bytes(data))
 
     def wait_readable(self, wall_s: float) -> bool:
         """Wait at most ``wall_s`` until there is something to read; return whether there is."""
