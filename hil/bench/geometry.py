@@ -139,7 +139,7 @@ def compensate(g, order, q, ideal, rail_m):
     """Write the rails ``rail_m`` (3,), m, for those of an ideal machine, ``ideal``; ``q`` (4,) becomes the gimbals'.
 
     q: given as that of c, in rails' axes. The deviation is first that at ``rail_m``, an earlier solution if it is
-    close by, and is iterated until what is left is of second order.
+    close by, and is iterated until the remainder is of second order.
     """
     shift, offset, a = stack.vector(3), stack.vector(3), stack.matrix(3, 3)
     tilt, turn, known, change = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
@@ -161,8 +161,8 @@ def compensate(g, order, q, ideal, rail_m):
             change[i] = ideal[i] - shift[i] - rail_m[i]
             rail_m[i] = ideal[i] - shift[i]
             known[i] -= tilt[i] + turn[i]
-        left = _largest(shift, tilt) * _largest(change, change) + _largest(offset, turn) * _largest(known, known)
-        if not left > _SMALL:
+        remainder = _largest(shift, tilt) * _largest(change, change) + _largest(offset, turn) * _largest(known, known)
+        if not remainder > _SMALL:
             break
         for i in range(3):
             known[i] = tilt[i] + turn[i]

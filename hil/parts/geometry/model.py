@@ -49,7 +49,7 @@ class MachineModel:
     def predict(self, vector: Array, axes: Array, source: np.ndarray) -> Predicted:
         """Return what a machine with ``vector`` (PARAMETERS,), m and rad, shows at encoders (n, 6) to each source."""
         vectors = np.vstack([vector, vector + STEP * np.eye(PARAMETERS)])
-        r, q = self._shown(machines_about(self.rig, STEP_S, vector), vectors, axes, source == "vmu")
+        r, q = self._poses(machines_about(self.rig, STEP_S, vector), vectors, axes, source == "vmu")
         turned = rotations_between(q[1:], np.broadcast_to(q[0], q[1:].shape))
         slopes = np.concatenate([r[1:] - r[0], turned], axis=2) / STEP
         return Predicted(r[0], q[0], slopes.transpose(1, 2, 0))
@@ -59,10 +59,10 @@ class MachineModel:
         machine = np.zeros(1, BENCH_PARAMS).view(np.recarray)
         machine[0] = bench(self.rig, STEP_S)
         set_geometry(machine[0], self.rig, vector)
-        r, q = self._shown(machine, vector[None], axes, np.full(len(axes), source == "vmu"))
+        r, q = self._poses(machine, vector[None], axes, np.full(len(axes), source == "vmu"))
         return np.hstack([r[0], [quat.to_rotation_vector(each) for each in q[0]]])
 
-    def _shown(self, machines: np.ndarray, vectors: Array, axes: Array, by_camera: np.ndarray) -> tuple[Array, Array]:
+    def _poses(self, machines: np.ndarray, vectors: Array, axes: Array, by_camera: np.ndarray) -> tuple[Array, Array]:
         """Return the poses (m, n, 3), m, and (m, n, 4) of ``machines`` (m,) with ``vectors``; by_camera: mask (n,)."""
         m, n, rails, gimbals = len(vectors), len(axes), axes[:, :3].copy(), axes[:, 3:].copy()
         r, q = np.empty((m, n, 3)), np.empty((m, n, 4))

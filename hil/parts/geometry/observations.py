@@ -58,7 +58,7 @@ def write_observations(observations: PoseObservations, path: str) -> None:
     numbers = np.hstack([observations.axes, observations.value, observations.sigma])
     sources = [str(source) for source in observations.source]
     rows = zip(observations.pose, numbers, sources, strict=True)
-    write_table(path, COLUMNS, ([int(n), *map(_shown, row), source, BODIES[source]] for n, row, source in rows))
+    write_table(path, COLUMNS, ([int(n), *map(_text, row), source, BODIES[source]] for n, row, source in rows))
 
 
 def write_table(path: str, columns: Sequence[str], rows: Iterable[Sequence[object]], before: str = "") -> None:
@@ -68,7 +68,7 @@ def write_table(path: str, columns: Sequence[str], rows: Iterable[Sequence[objec
     write_text(before + text.getvalue(), path)
 
 
-def _shown(value: float) -> str:
+def _text(value: float) -> str:
     return f"{value:.9g}"
 
 

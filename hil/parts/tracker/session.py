@@ -91,8 +91,8 @@ class TrackerWatch:
         scenario = job.scenario.value
         self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
         self._worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
-        self.comparison = self._compared()
-        self._standing, self._standing_s = self._compared(), math.nan
+        self.comparison = self._new_comparison()
+        self._standing, self._standing_s = self._new_comparison(), math.nan
         self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
@@ -106,7 +106,7 @@ class TrackerWatch:
         self._cycles = 0
         self._kept: list[np.ndarray] = []
 
-    def _compared(self) -> BenchComparison:
+    def _new_comparison(self) -> BenchComparison:
         encoders = EncoderPoses(self._bench, self._job.scenario.value.step_s)
         return BenchComparison(self._config, encoders, self._worth)
 
@@ -166,7 +166,7 @@ class TrackerWatch:
             pass
         if not standing.is_complete and now_s - self._standing_s < _STANDING_S:
             return False
-        self._standing, self._standing_s = self._compared(), math.nan
+        self._standing, self._standing_s = self._new_comparison(), math.nan
         self._waiting.clear()
         if standing.counts["outlier"] > standing.counts["ok"]:
             raise table.BENCH_AGAINST_TRACKER.trip(NAME, "off by more than its gate", self._config.gate_m)
