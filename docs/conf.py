@@ -11,7 +11,6 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))
 
-from docs import generate  # noqa: E402
 from hil import __version__  # noqa: E402
 
 project = "hil-bench"
@@ -58,8 +57,7 @@ html_static_path: list[str] = []
 
 
 def prepare(_app: Any) -> None:
-    """Write the generated pages, and copy the notebooks of ``examples/``."""
-    generate.write(DOCS)
+    """Copy the notebooks of ``examples/``."""
     for notebook in sorted((ROOT / "examples").glob("*.ipynb")):
         target = DOCS / "tutorials" / "notebooks" / notebook.name
         if not target.exists() or target.read_bytes() != notebook.read_bytes():

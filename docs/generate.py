@@ -1,4 +1,4 @@
-"""Reference pages that are made from the code when the documentation is built.
+"""Reference pages that are made from the code: ``python -m docs.generate`` writes those that differ.
 
 ``pages()`` has the text of each page by its path below ``docs/``: the command line from its declarations, the keys of
 configuration files from ``hil.config.key_reference``, the records from their field tables.
@@ -60,7 +60,7 @@ def command_line() -> str:
     """Return the page of all commands, as ``--help`` shows them."""
     text = app.generate_docs(heading_level=1, max_heading_level=3)
     start = text.index("## hil run")
-    body = re.sub(r" \*\[default: \(\)\]\*", "", text[start:])
+    body = re.sub(r" \*\[default: \(\)\]\*| -m docs\.generate", "", text[start:])
     intro = """# Command line
 
 `hil COMMAND --help` shows the same. Every command ends with one of these exit codes:
@@ -337,3 +337,7 @@ def _rows(table: KeyTable) -> str:
         meaning = key.meaning.replace("``", "`").replace("|", "\\|")
         rows.append(f"| `{key.name}` | {key.type} | {key.unit} | {key.allowed} | {key.default} | {meaning} |")
     return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    write(Path(__file__).parent)

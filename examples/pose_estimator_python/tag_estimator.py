@@ -6,31 +6,29 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hil.vmu.boards import refined
-from hil.vmu.estimators import FlatTarget, PoseEstimate
+from hil.vmu.estimators import PRINT, FlatTarget, PoseEstimate
+from hil.vmu.prints import AprilTagSettings
 
-TAGS = {0: (0.06, 0.0), 1: (0.14, -0.12), 2: (0.14, 0.12), 3: (0.36, -0.42), 4: (0.36, 0.42)}  # number: side, x, m
+SIDES_M = {0.0: 0.06, -0.12: 0.14, 0.12: 0.14, -0.42: 0.36, 0.42: 0.36}  # x of tags 0 to 4, m: side
+TAGS = AprilTagSettings(tags=tuple((k, side, x, 0.0) for k, (x, side) in enumerate(SIDES_M.items())))
 CORNER_PX, CALIBRATION_PX, PER_M, SIZE_M = 0.1, 0.05, 3000, (1.3, 0.5)
 
 
-class BoardEstimator:
-    """Solves a pair; ``board`` is what emulated cameras draw."""
-
+class BoardEstimator:  # its ``board`` is what emulated cameras draw
     def __init__(self, geometry, settings):
-        tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
-        self.detector = cv2.aruco.ArucoDetector(tags)
+        self.print, way = geometry.print, geometry.print or "official"  # of OpenCV they are turned by 180 deg
+        self.detector = cv2.aruco.ArucoDetector(TAGS.dictionary())
+        self.points, self.shift = TAGS.corners(), TAGS.shift(way)
         self.lenses = [
             (np.array([[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]]), np.array(c.distortion))
             for c in (geometry.left, geometry.right)
         ]
         self.turn, self.base = Rotation.from_rotvec(geometry.right_rotation_rad).inv(), np.array(geometry.baseline_m)
-        wide, high = (round(PER_M * size) for size in SIZE_M)
-        picture, self.points = np.full((high, wide), 255, np.uint8), np.zeros((4 * len(TAGS), 3))
-        for k, (side, x) in TAGS.items():
-            square = 0.5 * side * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-            self.points[4 * k : 4 * k + 4] = square + np.array([x, 0.0, 0.0])
+        picture = np.full([round(PER_M * size) for size in SIZE_M[::-1]], 255, np.uint8)
+        for k, side, x, _ in TAGS.tags:
             pixels = round(PER_M * side)
-            u, v = (wide - pixels) // 2 + round(PER_M * x), (high - pixels) // 2
-            picture[v : v + pixels, u : u + pixels] = tags.generateImageMarker(k, pixels)
+            u, v = (np.array(picture.shape[::-1]) - pixels) // 2 + [round(PER_M * x), 0]
+            picture[v : v + pixels, u : u + pixels] = TAGS.marker(k, way, pixels)
         self.board = FlatTarget(picture, *SIZE_M)
 
     def warm_up(self):
@@ -47,9 +45,9 @@ class BoardEstimator:
         quads, tags, _ = ((), None, ()) if image is None else self.detector.detectMarkers(image)
         ids, pixels = [], []
         for quad, k in zip(quads, np.ravel(tags), strict=False):
-            corners = refined(image, np.reshape(quad, (4, 2)), 8) if k in TAGS else None
+            corners = refined(image, np.reshape(quad, (4, 2)), 8) if k < len(TAGS.tags) else None
             if corners is not None:
-                ids += range(4 * k, 4 * k + 4)
+                ids += [4 * k + (n + self.shift) % 4 for n in range(4)]
                 pixels += corners.tolist()
         return ids, np.reshape(pixels, (-1, 2))
 
@@ -58,13 +56,14 @@ class BoardEstimator:
         found = [self.find(image) for image in (left, right)]
         if min(len(ids) for ids, _ in found) < 4:
             return PoseEstimate(t_s, "too_few")
+        if self.print is None and len({k // 4 for ids, _ in found for k in ids}) == 1:
+            return PoseEstimate(t_s, PRINT)  # a single tag fits both prints
         (ids, pixels), lens = found[0], self.lenses[0]
         _, turn, place = cv2.solvePnP(self.points[ids], pixels, *lens, flags=cv2.SOLVEPNP_IPPE)
 
         def residuals(x):
-            return (
-                np.concatenate([(self.project(s, *f[:1], x) - f[1]).ravel() for s, f in enumerate(found)]) / CORNER_PX
-            )
+            errors = [self.project(s, seen, x) - at for s, (seen, at) in enumerate(found)]
+            return np.concatenate(errors).ravel() / CORNER_PX
 
         fit = least_squares(residuals, np.concatenate([turn.ravel(), place.ravel()]), x_scale="jac")
         turn, t_v = Rotation.from_rotvec(fit.x[:3]), fit.x[3:]

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
@@ -131,14 +130,20 @@ class Run:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all records, one row per cycle, indexed by time, s. Raises BadInput without pandas."""
+        from hil.api import frames
+
         return frames.to_pandas(self._fitted, self.t_s)
 
     def to_polars(self) -> Any:
         """Return a polars DataFrame of all records, one row per cycle. Raises BadInput without polars."""
+        from hil.api import frames
+
         return frames.to_polars(self._fitted, self.t_s)
 
     def to_xarray(self) -> Any:
         """Return a Dataset of all records: time as index, axes by name, units. Raises BadInput without xarray."""
+        from hil.api import frames
+
         return frames.to_xarray(self._fitted, self.t_s)
 
     def why(self) -> dict[str, Any]:

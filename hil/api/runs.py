@@ -19,6 +19,7 @@ from hil.api.jobs import (
     rig_name,
 )
 from hil.api.results import Run, run_of
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.go_level import go_warnings
 from hil.checks.observability import observed_by
 from hil.checks.unseen import unseen_warnings
@@ -181,7 +182,8 @@ def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
     scenario, rig = job.scenario.value, job.rig.value
-    for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig)):
+    ages = ephemeris_warnings(scenario, rig, job.duration_s, job.seed)
+    for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig), *ages):
         request.announce(line)
     with ExitStack() as stack:
         recorder = None

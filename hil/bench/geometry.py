@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import euler, quat, stack
-from hil.maths.arrays import copy_into, cross_into, fill
+from hil.maths.arrays import copy_into, fill
 
 GEOMETRY = np.dtype(
     [
@@ -22,17 +22,15 @@ GEOMETRY = np.dtype(
         ("carries", "f8", (3, 3)),  # 1: the rail of the row carries that of the column
         ("centre", "f8", 3),  # m, of the travel of each rail
         ("inverse", "f8", 3),  # 1/m, of half of it; 0 for a fixed rail
-        ("rail", "f8", (3, 3, 6)),  # P1, P2, P3 of the displacement x y z, m, and rotation, rad, of each carriage
+        ("rail", "f8", (3, 4, 6)),  # of 1, t, t^2, t^3: displacement x y z, m, and rotation, rad, of each carriage
         ("squareness", "f8", 3),  # rad, more than 90 deg between x and y, y and z, z and x
         ("zero", "f8", 3),  # rad, added to the encoders of roll, pitch, yaw
         ("turntable_tilt", "f8", 3),  # rad, of the outer gimbal's axis
-        ("outer", "f8", 3),  # unit vector of the outer axis
-        ("sign", "f8"),  # 1: outer, middle and inner axis are right-handed; else -1, also of what is below
         ("middle_tilt", "f8"),  # rad, outer and middle axis are not orthogonal
         ("middle_offset", "f8"),  # m, of the middle axis from the outer one
         ("inner_tilt", "f8"),  # rad, middle and inner axis
         ("inner_offset", "f8", 2),  # m, of the inner axis from the middle one, and along that
-        ("reference_tilt", "f8", 3),  # rad, of c on the inner gimbal
+        ("q_reference", "f8", 4),  # inner gimbal to c
         ("arm", "f8", 3),  # m, lever arm in c
         ("base", "f8", 3),  # m, origin of the rails in L
         ("q_base", "f8", 4),  # L to the rails' axes
@@ -40,89 +38,81 @@ GEOMETRY = np.dtype(
     align=True,
 )
 
-_SMALL = 1.6e-5  # product of error and correction, m and rad, up to which the correction is of first order
-_ITERATIONS = 5
+_SMALL = 1.6e-5  # m, rad: second-order terms at which the iteration ends
+_ITERATIONS = 6
+_NEAR_M = 0.05  # from the ideal rails, within which an earlier solution is one to begin with
 _POLE = 1e-9  # least cosine of the middle angle
 
 
 @kernel
-def _add_cross(a, b, out):
-    """Add the cross product of ``a`` and ``b`` (3,) to ``out`` (3,)."""
-    out[0] += a[1] * b[2] - a[2] * b[1]
-    out[1] += a[2] * b[0] - a[0] * b[2]
-    out[2] += a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def _at(rail, i, m, t, p2, p3):
-    """Return component ``m`` of what rail ``i`` does to its carriage."""
-    return rail[i, 0, m] * t + rail[i, 1, m] * p2 + rail[i, 2, m] * p3
-
-
-@kernel
-def _deviation(g, order, rail_m, a, arm, shift, turn):
-    """Write by how much the chaser is displaced, ``shift`` (3,), m, and rotated, ``turn`` (3,), rad, in rails' axes.
-
-    a: (3, 3), attitude of the gimbals, zero offsets included. arm: (3,), m, from their centre.
-    """
+def _rails_deviation(g, rail_m, shift, tilt):
+    """Write the displacement ``shift`` (3,), m, and rotation ``tilt`` (3,), rad, of the turntable, in rails' axes."""
     x, y, z = rail_m[0], rail_m[1], rail_m[2]
     s_x, s_y, s_z = -g.squareness[0] * y - g.squareness[2] * z, -g.squareness[1] * z, 0.0
     t_x, t_y, t_z = g.turntable_tilt[0], g.turntable_tilt[1], g.turntable_tilt[2]
+    rail = stack.vector(6)
+    for n in range(3):
+        t = (rail_m[n] - g.centre[n]) * g.inverse[n]
+        for m in range(6):
+            rail[m] = g.rail[n, 0, m] + t * (g.rail[n, 1, m] + t * (g.rail[n, 2, m] + t * g.rail[n, 3, m]))
+        u, v, w = g.carries[n, 0] * x, g.carries[n, 1] * y, g.carries[n, 2] * z
+        s_x += rail[0] + rail[4] * w - rail[5] * v
+        s_y += rail[1] + rail[5] * u - rail[3] * w
+        s_z += rail[2] + rail[3] * v - rail[4] * u
+        t_x, t_y, t_z = t_x + rail[3], t_y + rail[4], t_z + rail[5]
+    shift[0], shift[1], shift[2] = s_x, s_y, s_z
+    tilt[0], tilt[1], tilt[2] = t_x, t_y, t_z
+
+
+@kernel
+def _gimbals_deviation(g, order, a, shift, turn):
+    """Write by how much the gimbals displace the inner one, ``shift`` (3,), m, and rotate it, ``turn`` (3,), rad.
+
+    a: (3, 3), attitude of the inner one, in whose axes the outer axis is column i of it, the middle one (p, q, 0), and
+    its own (0, 0, 1). Results are in rails' axes.
+    """
+    i, j, k = order[0], order[1], order[2]
+    cosine = max(_POLE, math.sqrt(a[i, i] * a[i, i] + a[j, i] * a[j, i]))  # of the middle angle
+    p, q = -a[j, i] / cosine, a[i, i] / cosine
+    across, tilt = g.inner_offset[0] - g.middle_offset * a[k, i], g.inner_tilt - g.middle_tilt * a[k, i]
+    s_i, s_j, s_k = across * q + g.inner_offset[1] * p, g.inner_offset[1] * q - across * p, g.middle_offset * cosine
+    t_i, t_j, t_k = tilt * q, -tilt * p, g.middle_tilt * cosine
+    for m in range(3):
+        shift[m] = a[i, m] * s_i + a[j, m] * s_j + a[k, m] * s_k
+        turn[m] = a[i, m] * t_i + a[j, m] * t_j + a[k, m] * t_k
+
+
+@kernel
+def _turned(sign, tilt, turn, q, out):
+    """Write ``q`` (4,) after the small rotation ``tilt + turn`` (3,), rad, by ``sign``, to ``out`` (4,)."""
+    small, square = stack.vector(4), 0.0
     for i in range(3):
-        t = (rail_m[i] - g.centre[i]) * g.inverse[i]
-        p2, p3 = 1.5 * t * t - 0.5, (2.5 * t * t - 1.5) * t
-        u, v, w = g.carries[i, 0] * x, g.carries[i, 1] * y, g.carries[i, 2] * z
-        r_x, r_y, r_z = (
-            _at(g.rail, i, 3, t, p2, p3),
-            _at(g.rail, i, 4, t, p2, p3),
-            _at(g.rail, i, 5, t, p2, p3),
-        )
-        s_x += _at(g.rail, i, 0, t, p2, p3) + r_y * w - r_z * v
-        s_y += _at(g.rail, i, 1, t, p2, p3) + r_z * u - r_x * w
-        s_z += _at(g.rail, i, 2, t, p2, p3) + r_x * v - r_y * u
-        t_x, t_y, t_z = t_x + r_x, t_y + r_y, t_z + r_z
-    # unit vectors: the inner axis, the middle one, and those at right angles to outer and middle, middle and inner one
-    n = order[2]
-    inner, outer = a[n], g.outer
-    middle, across, third = stack.vector(3), stack.vector(3), stack.vector(3)
-    cross_into(inner, outer, middle)
-    size = g.sign / max(_POLE, math.sqrt(middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2]))
-    for m in range(3):
-        middle[m] *= size
-    cross_into(outer, middle, across)
-    cross_into(middle, inner, third)
-    for m in range(3):
-        shift[m] = g.middle_offset * across[m] + g.inner_offset[0] * third[m] + g.inner_offset[1] * middle[m]
-        turn[m] = g.middle_tilt * across[m] + g.inner_tilt * third[m]
-        turn[m] += a[0, m] * g.reference_tilt[0] + a[1, m] * g.reference_tilt[1] + a[2, m] * g.reference_tilt[2]
-    turn[0] += t_x
-    turn[1] += t_y
-    turn[2] += t_z
-    shift[0] += s_x + turn[1] * arm[2] - turn[2] * arm[1]
-    shift[1] += s_y + turn[2] * arm[0] - turn[0] * arm[2]
-    shift[2] += s_z + turn[0] * arm[1] - turn[1] * arm[0]
+        small[i] = 0.5 * sign * (tilt[i] + turn[i])
+        square += small[i] * small[i]
+    small[3] = 1.0 - square * (0.5 + 0.125 * square)
+    quat.multiply_into(q, small, out)
 
 
 @kernel
 def machine_pose(g, order, rail_m, gimbal_rad, r_L, q_CL):
     """Write the pose ``r_L`` (3,), m, ``q_CL`` (4,) of the chaser in L with the encoders at the given positions."""
-    angles, near, small, a = stack.vector(3), stack.vector(4), stack.vector(4), stack.matrix(3, 3)
-    arm, shift, turn = stack.vector(3), stack.vector(3), stack.vector(3)
+    angles, q, near, a = stack.vector(3), stack.vector(4), stack.vector(4), stack.matrix(3, 3)
+    shift, tilt, offset, turn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         angles[i] = gimbal_rad[i] + g.zero[i]
     euler.to_quaternion_into(angles, order, near)
     quat.to_matrix_into(near, a)
-    quat.transform_back_into(near, g.arm, arm)
-    _deviation(g, order, rail_m, a, arm, shift, turn)
+    _rails_deviation(g, rail_m, shift, tilt)
+    _gimbals_deviation(g, order, a, offset, turn)
+    _turned(1.0, tilt, turn, near, q)
+    quat.multiply_into(g.q_reference, q, near)
+    quat.transform_back_into(near, g.arm, r_L)
     for i in range(3):
-        r_L[i] = rail_m[i] + arm[i] + shift[i]
+        r_L[i] += rail_m[i] + shift[i] + offset[i]
     quat.transform_back_into(g.q_base, r_L, r_L)
     for i in range(3):
         r_L[i] += g.base[i]
-    quat.from_rotation_vector_into(turn, small)
-    both = stack.vector(4)
-    quat.multiply_into(near, small, both)
-    quat.multiply_into(both, g.q_base, q_CL)
+    quat.multiply_into(near, g.q_base, q_CL)
 
 
 @kernel
@@ -139,44 +129,40 @@ def to_rails(g, r, v, q):
 
 
 @kernel
-def compensate(g, order, r, q, a, arm, jacobian, axes):
-    """Correct the positions of ``axes`` (AXES), those of an ideal machine at this pose in rails' axes.
+def _largest(a, b):
+    """Return the largest component of both, (3,)."""
+    return max(abs(a[0]), abs(a[1]), abs(a[2]), abs(b[0]), abs(b[1]), abs(b[2]))
 
-    a: (3, 3) and arm: (3,), of ``q``, and jacobian: (3, 3), ``euler.rate_jacobian_of_matrix_into``; overwritten.
 
-    Errors of 4 mm or 4 mrad are corrected to first order, within their square; of larger ones the place at which they
-    are taken is iterated first. r: (3,), m. q: (4,).
+@kernel
+def compensate(g, order, q, ideal, rail_m):
+    """Write the rails ``rail_m`` (3,), m, for those of an ideal machine, ``ideal``; ``q`` (4,) becomes the gimbals'.
+
+    q: given as that of c, in rails' axes. The deviation is first that at ``rail_m``, an earlier solution if it is
+    close by, and is iterated until the remainder is of second order.
     """
-    near, small, shift, turn = stack.vector(4), stack.vector(4), stack.vector(3), stack.vector(3)
-    known_shift, known_turn, step = stack.vector(3), stack.vector(3), stack.vector(3)
-    fill(known_shift, 0.0)
-    fill(known_turn, 0.0)
-    copy_into(near, q)
+    shift, offset, a = stack.vector(3), stack.vector(3), stack.matrix(3, 3)
+    tilt, turn, known, change = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    inner, back = stack.vector(4), stack.vector(4)
+    quat.conjugate_into(g.q_reference, back)
+    quat.multiply_into(back, q, inner)
+    copy_into(q, inner)
+    fill(known, 0.0)
+    for i in range(3):
+        if not abs(rail_m[i] - ideal[i]) < _NEAR_M:
+            rail_m[i] = ideal[i]
     for _ in range(_ITERATIONS):
-        _deviation(g, order, axes.rail_m, a, arm, shift, turn)
-        size, change = 0.0, 0.0
+        quat.to_matrix_into(q, a)
+        _rails_deviation(g, rail_m, shift, tilt)
+        _gimbals_deviation(g, order, a, offset, turn)
+        _turned(-1.0, tilt, turn, inner, q)
         for i in range(3):
-            size = max(size, abs(shift[i]), abs(turn[i]))
-            change = max(change, abs(shift[i] - known_shift[i]), abs(turn[i] - known_turn[i]))
-        if not size * change > _SMALL:
+            shift[i] += offset[i]
+            change[i] = ideal[i] - shift[i] - rail_m[i]
+            rail_m[i] = ideal[i] - shift[i]
+            known[i] -= tilt[i] + turn[i]
+        remainder = _largest(shift, tilt) * _largest(change, change) + _largest(offset, turn) * _largest(known, known)
+        if not remainder > _SMALL:
             break
         for i in range(3):
-            known_shift[i], known_turn[i], step[i] = shift[i], turn[i], -turn[i]
-        quat.from_rotation_vector_into(step, small)
-        quat.multiply_into(q, small, near)
-        quat.to_matrix_into(near, a)
-        euler.from_matrix_into(a, order, axes.gimbal_rad)
-        euler.rate_jacobian_of_matrix_into(a, order, jacobian)
-        quat.transform_back_into(near, g.arm, arm)
-        for i in range(3):
-            axes.rail_m[i] = r[i] - arm[i] - shift[i]
-    for i in range(3):
-        turn[i] -= known_turn[i]
-        axes.rail_m[i] -= shift[i] - known_shift[i]
-    _add_cross(turn, arm, axes.rail_m)
-    for i in range(3):
-        step[i] = a[i, 0] * turn[0] + a[i, 1] * turn[1] + a[i, 2] * turn[2]
-    for i in range(3):
-        axes.gimbal_rad[i] -= g.zero[i]
-        for j in range(3):
-            axes.gimbal_rad[i] -= jacobian[i, j] * step[j]
+            known[i] = tilt[i] + turn[i]

@@ -179,14 +179,12 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
 def _compensate_driven(params, r, q, axes):
     """Correct the positions of the driven axes for errors of the machine; rails also for what fixed gimbals leave."""
     shown, rest, attitude = stack.vector(3), stack.vector(3), stack.vector(4)
-    a, jacobian, arm = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(3)
-    quat.to_matrix_into(q, a)
-    euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
-    quat.transform_back_into(q, params.lever_arm, arm)
-    compensate(params.geometry, params.order, r, q, a, arm, jacobian, axes)
+    copy_into(rest, axes.rail_m)
+    compensate(params.geometry, params.order, q, rest, axes.rail_m)
+    euler.from_quaternion_into(q, params.order, axes.gimbal_rad)
     for i in range(3):
-        if params.fixed[3 + i] != 0:
-            axes.gimbal_rad[i] = params.low[3 + i]
+        fixed = params.fixed[3 + i] != 0
+        axes.gimbal_rad[i] = params.low[3 + i] if fixed else axes.gimbal_rad[i] - params.geometry.zero[i]
     machine_pose(params.geometry, params.order, axes.rail_m, axes.gimbal_rad, shown, attitude)
     fill(rest, 0.0)
     to_rails(params.geometry, shown, rest, attitude)
@@ -216,18 +214,23 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     turning[1] = w_CH_C[2] * params.lever_arm[0] - w_CH_C[0] * params.lever_arm[2]
     turning[2] = w_CH_C[0] * params.lever_arm[1] - w_CH_C[1] * params.lever_arm[0]
     quat.transform_back_into(q, turning, arm_rate)
+    for i in range(3):
+        r[i] -= arm[i]
+        axes.rail_mps[i] = v[i] - arm_rate[i]
+    if params.geometry.enabled != 0:
+        compensate(params.geometry, params.order, q, r, axes.rail_m)
+    else:
+        copy_into(axes.rail_m, r)
     quat.to_matrix_into(q, a)
     euler.from_matrix_into(a, params.order, angles)
     euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
     for i in range(3):
-        axes.rail_m[i] = r[i] - arm[i]
-        axes.rail_mps[i] = v[i] - arm_rate[i]
         axes.gimbal_rad[i] = angles[i]
         axes.gimbal_radps[i] = 0.0
         for j in range(3):
             axes.gimbal_radps[i] += jacobian[i, j] * w_CH_C[j]
-    if params.geometry.enabled != 0:
-        compensate(params.geometry, params.order, r, q, a, arm, jacobian, axes)
+        if params.geometry.enabled != 0:
+            axes.gimbal_rad[i] -= params.geometry.zero[i]
 
 
 @kernel

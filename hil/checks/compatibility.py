@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
-from hil.config.scene import Scene
 from hil.config.tables.limits import excess, scenario_limits
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
@@ -27,6 +27,9 @@ from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
 from hil.maths import euler, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
+
+if TYPE_CHECKING:
+    from hil.config.scene import Scene
 
 _NOISE_SIGMAS = 3.0  # standard deviations of a pose that an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0

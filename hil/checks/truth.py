@@ -79,11 +79,18 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
 
 
 def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
-    orbit, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
+    truth, orbit, errors = scenario.value.truth, scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= orbit.eccentricity <= 0.7:
         key = "gnc.ephemeris.eccentricity_error"
         text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to 0.7"
+        problems.append(Problem(scenario.where(key), key, text))
+    if errors.gravity_degree and (truth.relative_motion != "nonlinear" or scenario.value.target.motion != "aligned"):
+        key = "gnc.ephemeris.gravity_degree"
+        text = (
+            f"{errors.gravity_degree}: harmonics move a target with "
+            'truth.relative_motion = "nonlinear" and target.motion = "aligned", otherwise allowed 0'
+        )
         problems.append(Problem(scenario.where(key), key, text))
     if orbit.altitude_m <= 0.0:
         key = "gnc.ephemeris.semi_major_axis_error_m"
@@ -102,12 +109,16 @@ def _check_gravity(scenario: Loaded[Scenario], body: CentralBody) -> list[Proble
             return [Problem(where, "gravity_file", f"{body.gravity_file}: {error}")]
         key = "truth.gravity_file"
         return [Problem(scenario.where(key), key, f"{truth.gravity_file}: {error}")]
-    if truth.gravity_degree <= field.degree:
-        return []
-    key = "truth.gravity_degree"
-    name = truth.gravity_file or f"the field of {body.name}"
-    text = f"{truth.gravity_degree}: too high for {name}, allowed 0 to {field.degree}"
-    return [Problem(scenario.where(key), key, text)]
+    degrees = {
+        "truth.gravity_degree": truth.gravity_degree,
+        "gnc.ephemeris.gravity_degree": scenario.value.gnc.ephemeris.gravity_degree,
+    }
+    text = f"too high for {truth.gravity_file or f'the field of {body.name}'}, allowed 0 to {field.degree}"
+    return [
+        Problem(scenario.where(key), key, f"{degree}: {text}")
+        for key, degree in degrees.items()
+        if degree > field.degree
+    ]
 
 
 def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:

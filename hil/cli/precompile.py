@@ -66,6 +66,7 @@ def _compile_loop() -> None:
 
 
 def _compile_verdict() -> None:
+    from hil.checks.ephemeris import ephemeris_warnings
     from hil.checks.go_level import go_warnings
     from hil.report.summary import control_numbers
     from hil.report.tally import Tally
@@ -84,6 +85,7 @@ def _compile_verdict() -> None:
     tally.numbers()
     control_numbers(rows, scenario)
     go_warnings(scenario, rig)
+    ephemeris_warnings(scenario, rig, 1.0)
 
 
 def _compile_checks() -> None:

@@ -33,6 +33,7 @@ def vehicle(
     """
     from hil.checks.abort import check_abort
     from hil.checks.compatibility import check_plan
+    from hil.checks.ephemeris import ephemeris_warnings
     from hil.checks.go_level import go_warnings
     from hil.config.load import load_rig, load_scenario
     from hil.errors import BadInput
@@ -40,13 +41,16 @@ def vehicle(
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     numbers = _numbers(loaded.value, loaded_rig.value)
     warnings = go_warnings(loaded.value, loaded_rig.value)
+    ages = ephemeris_warnings(loaded.value, loaded_rig.value, loaded.value.duration_s)
 
     def show() -> None:
         _show(numbers)
         for line in warnings:
             say(f"no go: {line}")
+        for line in ages:
+            say(line)
 
-    deliver({"scenario": loaded.value.name, **numbers, "no_go": warnings}, json, show)
+    deliver({"scenario": loaded.value.name, **numbers, "no_go": warnings, "orbit": ages}, json, show)
     if image is not None:
         from hil.report.authority_figure import authority_figure
 

@@ -11,14 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_origin
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from hil.config.protocol import Protocol
 from hil.config.rig import Rig, with_fixed_axes
 from hil.config.scenario import Scenario
-from hil.config.scene import Scene
 from hil.config.tables.body import CentralBody
 from hil.config.tables.dispersions import Dispersions
 from hil.config.tables.driver_registry import DeviceTable
@@ -28,11 +26,15 @@ from hil.config.tables.model import ConfigModel
 from hil.config.tables.open_table import FileTable, OpenTable, model_of_field
 from hil.config.tables.sensors import by_name
 from hil.config.tables.units import converted, split
-from hil.config.vmu_frame import VmuFrame
-from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
 from hil.core.own_code import note_users
 from hil.errors import BadInput, Problem, did_you_mean
+
+if TYPE_CHECKING:  # models of the files that most runs do not read are imported with the first of them
+    from hil.config.protocol import Protocol
+    from hil.config.scene import Scene
+    from hil.config.vmu_frame import VmuFrame
+    from hil.config.vmu_geometry import VmuGeometry
 
 Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
@@ -126,16 +128,22 @@ def check_wires(rig: Loaded[Rig]) -> None:
 
 def load_protocol(name: str) -> Loaded[Protocol]:
     """Return the command set ``name`` (shipped, or a path); raise BadInput."""
+    from hil.config.protocol import Protocol
+
     return _load(name, "protocols", Protocol, (), prefix="")
 
 
 def load_frame(name: str) -> Loaded[VmuFrame]:
     """Return the pose frame ``name`` of a vision unit (shipped, or a path); raise BadInput."""
+    from hil.config.vmu_frame import VmuFrame
+
     return _load(name, "frames", VmuFrame, (), prefix="")
 
 
 def load_geometry(path: str) -> Loaded[VmuGeometry]:
     """Return the vision unit's geometry file at ``path``, JSON or TOML as its name ends; raise BadInput."""
+    from hil.config.vmu_geometry import VmuGeometry
+
     origin: dict[str, str] = {}
     table = read_with_bases(Path(path), "geometries", VmuGeometry, origin)
     return check_table(table, VmuGeometry, path, origin)
@@ -162,6 +170,8 @@ def _load_body(path: str, _changed_ns: int, _size: int) -> Loaded[CentralBody]:
 
 def load_scene(name: str) -> Loaded[Scene]:
     """Return the monitor's scene ``name`` (shipped, or the path of a TOML or JSON file); raise BadInput."""
+    from hil.config.scene import Scene
+
     return _load(name, "targets", Scene, (), prefix="")
 
 

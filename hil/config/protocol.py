@@ -169,8 +169,8 @@ class AxisStatusBits(ConfigModel):
 
     enabled: Bit
     """Enabled."""
-    fault: Bit
-    """Fault."""
+    fault: Bit | None = None
+    """Fault; omitted if `status` reads the fault number."""
     quick_stopped: Bit | None = None
     """Quick stop active."""
     moving: Bit | None = None
@@ -350,6 +350,8 @@ class Protocol(ConfigModel):
             for name in ("position", "status"):
                 if (name, axis) not in reported:
                     raise ValueError(f"requests.status: no reply has the {name} of {axis}")
+            if self.bits.fault is None and ("fault", axis) not in reported:
+                raise ValueError(f"status.fault: is missing, and no reply to requests.status has the fault of {axis}")
 
     def _check_homing(self) -> None:
         bits = self.bits

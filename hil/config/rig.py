@@ -29,7 +29,7 @@ from hil.config.tables.imu_wire import ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
-from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.tables.model import ConfigModel, Delay, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.tables.open_table import FileTable
 from hil.config.tables.rail_map import RailMap
 from hil.config.tables.rail_wires import ModbusRtu
@@ -282,6 +282,8 @@ class Cia402(ConfigModel):
     """Bit rate of the bus, bit/s."""
     baud: Annotated[int, Field(gt=0)] = 1_000_000
     """Baud rate of a serial adapter."""
+    adapter_latency_s: Delay = 0.0
+    """Time for which a serial adapter collects bytes."""
     arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
     """Further arguments of that interface, such as `host` and `port` of socketcand."""
     node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
@@ -335,6 +337,8 @@ class SerialLine(ConfigModel):
     """Serial port."""
     baud: Annotated[int, Field(gt=0)] = 460_800
     """Baud rate."""
+    adapter_latency_s: Delay = 0.0
+    """Time for which a USB adapter collects bytes: 0.016 for one of FTDI whose driver cannot be set to less."""
 
 
 class AsciiTurntableLine(SerialLine):
@@ -343,7 +347,7 @@ class AsciiTurntableLine(SerialLine):
     port: str | None = None
     """Serial port, or `tcp://HOST:PORT`."""
     protocol: str = "hil-ascii"
-    """Command set: `hil-ascii`, `acu` or the path of a protocol file."""
+    """Command set: `hil-ascii`, `acu`, `aerotech-ensemble` or the path of a protocol file."""
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)
     """Expected model, serial and firmware of the controller; omitted ones are not checked."""
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
@@ -81,6 +83,7 @@ class StopCommanded(Exception):
 
 HALTS: Final = (OperatorCommand.STOP, OperatorCommand.HOLD)
 """Commands that every client of a console may give, without the command of the bench, and that are never too late."""
+TOO_LATE: Final = "came too late to be executed: command it again"
 DEAD_MAN_S: Final = 0.2
 """Time for which a jog key counts as held after each refresh."""
 
@@ -99,7 +102,7 @@ class Operator:
 
     plan: commands issued automatically, each as soon as its mode is reached. attended: an operator can issue further
     commands; if not, the session ends with the plan, and a safe stop ends it at once. At most ``_CAPACITY`` commands
-    are pending: further ones are dropped, STOP never.
+    are pending: further ones are dropped, STOP never. wall_s: clock of the times until which commands may be executed.
     """
 
     _CAPACITY: Final = 64
@@ -108,8 +111,11 @@ class Operator:
         self,
         plan: tuple[OperatorCommand, ...] = (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
         attended: bool = False,
+        wall_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.attended = attended
+        self._wall_s = wall_s
+        self._until_s: dict[OperatorCommand, float] = {}
         self._plan = deque(plan)
         self.pending: deque[OperatorCommand] = deque()
         """Checked by the loop in each cycle: not empty if a command is pending."""
@@ -130,9 +136,10 @@ class Operator:
         No operation here: callers in the loop's process use ``submit``. Raises BenchError if the bench must stop.
         """
 
-    def submit(self, command: OperatorCommand) -> None:
-        """Append ``command`` to the queue; STOP goes to the front."""
+    def submit(self, command: OperatorCommand, until_s: float = math.inf) -> None:
+        """Append ``command`` to the queue, not to be executed after ``until_s``; STOP goes to the front."""
         with self._lock:
+            self._until_s[command] = until_s
             if command is OperatorCommand.STOP:
                 self.pending.appendleft(command)
             elif len(self.pending) < self._CAPACITY:
@@ -165,6 +172,10 @@ class Operator:
             return self._plan.popleft()
         return command
 
+    def is_late(self, command: OperatorCommand) -> bool:
+        """Return whether ``command``, as it was submitted last, may no longer be executed."""
+        return self._wall_s() > self._until_s.get(command, math.inf)
+
     def cancel_auto_sequence(self) -> None:
         """Drop the rest of the plan: after a safe stop only the operator issues commands."""
         self._plan.clear()
@@ -174,9 +185,11 @@ class Operator:
         with self._lock:
             while self.pending:
                 command = self.pending.popleft()
-                if mode in command.modes:
+                late = self.is_late(command)
+                if mode in command.modes and not late:
                     return command
-                self.rejections.append(f"bench: cannot {command.value} in {mode.value}")
+                reason = f"{command.value} {TOO_LATE}" if late else f"cannot {command.value} in {mode.value}"
+                self.rejections.append(f"bench: {reason}")
                 if command is OperatorCommand.JOG:
                     self._jog, self._refreshed = None, False
             return None
@@ -205,7 +218,9 @@ class TerminalOperator(Operator):
         return not self._ended
 
     def poll(self, now_s: float) -> None:
-        """Read the lines that have been typed."""
+        """Read the lines that have been typed, and show why a command was not executed."""
+        while self.rejections:
+            self._show(self.rejections.popleft())
         if self._ended or not select.select([self._descriptor], [], [], 0.0)[0]:
             return
         try:
@@ -223,7 +238,7 @@ class TerminalOperator(Operator):
                 reason = f"not resumed: the line {refusal}; " if given else ""
                 self._show(f'{reason}type "resume {self._digits.drawn()}" within {ANSWER_S:g} s')
             elif word == "resume":
-                self.submit(OperatorCommand.RESUME)
+                self.submit(OperatorCommand.RESUME, self._wall_s() + ANSWER_S)
 
 
 class AutoResumeOperator(Operator):

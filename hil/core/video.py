@@ -43,6 +43,7 @@ class TimedImage(NamedTuple):
 class _Decoder(Protocol):
     rate_hz: float | None
     end_s: float | None
+    count: int | None
     ends_from_zero: bool
     resolution_s: float
 
@@ -63,8 +64,9 @@ class Video:
         self.path = path
         self._decoder: _Decoder = _decoder(path)
         self.rate_hz, self.resolution_s = self._decoder.rate_hz, self._decoder.resolution_s
-        end_s = self._decoder.end_s
-        self.count = None if end_s is None or not self.rate_hz else max(1, round(end_s * self.rate_hz))
+        self.count, end_s = self._decoder.count, self._decoder.end_s
+        if self.count is None and end_s is not None and self.rate_hz:
+            self.count = max(1, round(end_s * self.rate_hz))
 
     def __iter__(self) -> Iterator[TimedImage]:
         """Yield the images; raise BadInput after the last one if the file states a later end, or has none."""
@@ -82,10 +84,11 @@ class Video:
             self.close()
         if number == 0:
             raise BadInput.single(str(self.path), "", "not a readable video: contains no complete image")
-        end_s = self._decoder.end_s
+        end_s, count = self._decoder.end_s, self._decoder.count
         period_s = 1.0 / self.rate_hz if self.rate_hz else (last_s - first_s) / max(1, number - 1)
         begin_s = 0.0 if self._decoder.ends_from_zero else first_s
-        if end_s is not None and last_s - begin_s + period_s < end_s - _MISSING * period_s:
+        is_early = end_s is not None and last_s - begin_s + period_s < end_s - _MISSING * period_s
+        if number < count - 1 if count is not None else is_early:
             expected = "" if self.count is None else f", {self.count} expected"
             raise BadInput.single(str(self.path), "", f"truncated or damaged: {number} complete images{expected}")
 
@@ -110,7 +113,10 @@ def _decoder(path: Path) -> _Decoder:
 
 
 class _PyAv:
-    """Decoder of PyAV. end_s: from the first image, of Matroska from the time 0."""
+    """Decoder of PyAV. end_s: from the first image, of Matroska from the time 0. count: by the index of an MP4 file.
+
+    The index has what edit lists leave, whereas length and number of images are those before.
+    """
 
     def __init__(self, path: Path, av: Any) -> None:
         self._path, self._error = path, av.error.FFmpegError
@@ -130,6 +136,8 @@ class _PyAv:
         lengths += [stream.frames / self.rate_hz] if stream.frames and self.rate_hz else []  # as an AVI was begun
         if not lengths and self._container.duration:
             lengths = [self._container.duration * 1e-6]
+        is_indexed = "mp4" in self._container.format.name and stream.frames
+        self.count = sum(not entry.is_discard for entry in stream.index_entries) if is_indexed else None
         self.end_s = max((length for length in lengths if 0.0 < length < _LONGEST_S), default=None)
 
     def images(self) -> Iterator[TimedImage]:
@@ -200,6 +208,7 @@ class _OpenCv:
         rate, count = (self._capture.get(key) for key in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
         self.rate_hz = rate if math.isfinite(rate) and rate > 0.0 else None
         self.end_s = count / rate if self.rate_hz and 0.0 < count < _LONGEST_S else None
+        self.count: int | None = None
         self.resolution_s, self.ends_from_zero = 1e-3, False
 
     def images(self) -> Iterator[TimedImage]:

@@ -82,6 +82,20 @@ class Streams(Protocol):
         """Expect a setpoint every ``period_s``, from the next ``open`` on."""
 
 
+NO_TORQUE_LIMIT = "its driver cannot limit the torque: full torque"
+
+
+@runtime_checkable
+class LimitsTorque(Protocol):
+    """An axis group that can let an axis move with little torque, as in the first move of commissioning."""
+
+    def limit_torque(self, axis: int, reduced: bool) -> None:
+        """Start to reduce the torque limit of ``axis`` of the group, or to restore it."""
+
+    def torque_limit(self, axis: int) -> str:
+        """Return what became of that, one line; "" before it is done."""
+
+
 @runtime_checkable
 class Describes(Protocol):
     """An axis group that reports what it uses of its drives."""

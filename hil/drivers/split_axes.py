@@ -13,7 +13,18 @@ from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock, Order
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.core.plug_ins import is_plug_in
-from hil.drivers.base import AxisGroup, Describes, Jogs, LimitsSetpoints, Parks, PoseSource, Streams, full_names
+from hil.drivers.base import (
+    NO_TORQUE_LIMIT,
+    AxisGroup,
+    Describes,
+    Jogs,
+    LimitsSetpoints,
+    LimitsTorque,
+    Parks,
+    PoseSource,
+    Streams,
+    full_names,
+)
 from hil.drivers.fixed_axes import FixedAxes
 from hil.drivers.returned import checked_feedback
 from hil.drivers.vmu.absent import AbsentVmu
@@ -65,6 +76,21 @@ class SplitAxes:
         for part in self._parts:
             if isinstance(part.axes, Streams):
                 part.axes.set_period(period_s)
+
+    def limit_torque(self, axis: int, reduced: bool) -> None:
+        """Start to reduce the torque limit of ``axis``, or to restore it."""
+        part, number = self._part_of(axis)
+        if isinstance(part, LimitsTorque):
+            part.limit_torque(number, reduced)
+
+    def torque_limit(self, axis: int) -> str:
+        """Return what became of that, "" before it is done."""
+        part, number = self._part_of(axis)
+        return part.torque_limit(number) if isinstance(part, LimitsTorque) else NO_TORQUE_LIMIT
+
+    def _part_of(self, axis: int) -> tuple[AxisGroup, int]:
+        part = next(part for part in self._parts if axis in part.numbers)
+        return part.axes, part.numbers.index(axis)
 
     def facts(self) -> list[str]:
         """Return what the drivers use of the opened drives, a line each."""

@@ -122,6 +122,8 @@ class _Coefficients:
 
     def field(self, gm: float, radius: float) -> GravityField:
         degree = len(self.c) - 1
+        if np.nan_to_num(self.c[0, 0]) not in (0.0, 1.0):
+            raise GravityFileError(f"degree 0: {self.c[0, 0]:.16g}, allowed 1 or 0: GM has the mass of the body")
         for n in range(2, degree + 1):
             for m in range(min(n, self._order) + 1):
                 if math.isnan(self.c[n, m]):
@@ -194,7 +196,9 @@ def _read_gfc(text: str) -> GravityField:
     begin = next((number for number, line in enumerate(lines, start=1) if line.split()[:1] == ["end_of_head"]), 0)
     if not begin:
         raise GravityFileError("has no end_of_head line: not an ICGEM .gfc file, or cut")
-    header = {words[0]: words[1] for words in map(str.split, reversed(lines[: begin - 1])) if len(words) > 1}
+    head = [line.split() for line in lines[: begin - 1] if line.strip()]
+    first = next((k for key in ("begin_of_head", "product_type") for k, line in enumerate(head) if line[0] == key), 0)
+    header = {line[0]: line[1] for line in reversed(head[first:]) if len(line) > 1}  # before it free text
     if header.get("norm", "fully_normalized") != "fully_normalized":
         raise GravityFileError(f"norm: the coefficients are {header['norm']}, allowed fully_normalized")
     gm, radius, degree = (_header_number(header, names) for names in _GFC_KEYS)

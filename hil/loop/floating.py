@@ -18,17 +18,16 @@ from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import POSITION_ONLY, Array
 from hil.core.modes import Mode
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import AxisGroup
 from hil.dynamics.floating import carry_on, fit_rates
 from hil.dynamics.thrusters import propellant_flow
 from hil.dynamics.truth import rate_against_hill
 from hil.errors import DeviceError
-from hil.frmn.ring import Telemetry
 from hil.loop import core
 from hil.loop.bench_stage import BenchStage, SafetyInputs
 from hil.loop.core_memory import CoreMemory
 from hil.loop.safety_io_stage import SafetyIo
-from hil.loop.stages import DssStage, FrameUsed, VisionStage
+from hil.loop.stages import DssStage, VisionStage
 from hil.maths import linear, quat
 from hil.maths.random_streams import NormalRows
 from hil.safety.guard_alarms import breach_alarm
@@ -51,6 +50,20 @@ class MeasuredTruth:
         self._t_s, self._r, self._q = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 4))
         self._v, self._w, self._n, self._rate_hz = np.zeros(3), np.zeros(3), 0, rate_hz
         self._sigma_m = self._sigma_rad = 0.0
+
+    def bench(
+        self, axes: tuple[AxisGroup, AxisGroup, CoreMemory, SafetyMonitor], inputs: SafetyInputs, lines: SafetyIo
+    ) -> FloatingBench:
+        """Return the stage of the bench whose axes are those of this pose."""
+        return FloatingBench(axes, inputs, lines, self)
+
+    def vision(self, *given: Any) -> MeasuredVision:
+        """Return the stage of the vision unit whose poses are this truth. given: see ``VisionStage``."""
+        return MeasuredVision(self, *given)
+
+    def dss(self, *given: Any) -> FloatingDss:
+        """Return the stage that predicts this truth. given: see ``DssStage``."""
+        return FloatingDss(self, *given)
 
     def begin(self) -> None:
         """Forget all poses: until the first one the truth is the start of the plan."""
@@ -131,15 +144,8 @@ class MeasuredTruth:
 class MeasuredVision(VisionStage):
     """Vision whose poses are the truth as well."""
 
-    def __init__(
-        self,
-        source: PoseSource,
-        memory: CoreMemory,
-        truth: MeasuredTruth,
-        on_frame_used: FrameUsed | None = None,
-        frame_sink: Telemetry | None = None,
-    ) -> None:
-        super().__init__(source, memory, on_frame_used, frame_sink)
+    def __init__(self, truth: MeasuredTruth, *given: Any) -> None:
+        super().__init__(*given)
         self._truth = truth
 
     def receive(self, bench_s: float) -> None:
@@ -151,7 +157,7 @@ class MeasuredVision(VisionStage):
 class FloatingDss(DssStage):
     """Prediction of the truth to the next cycle, in place of its simulation; there is no IMU."""
 
-    def __init__(self, memory: CoreMemory, field: Array, imu_noise: NormalRows, truth: MeasuredTruth) -> None:
+    def __init__(self, truth: MeasuredTruth, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> None:
         super().__init__(memory, field, imu_noise)
         self._truth, self._now = truth, memory.now
         self._dss = kernel_record(memory.params.dss)
@@ -178,15 +184,12 @@ class FloatingBench(BenchStage):
 
     def __init__(
         self,
-        rails: AxisGroup,
-        turntable: AxisGroup,
-        memory: CoreMemory,
-        safety: SafetyMonitor,
+        axes: tuple[AxisGroup, AxisGroup, CoreMemory, SafetyMonitor],
         inputs: SafetyInputs,
         lines: SafetyIo,
         truth: MeasuredTruth,
     ) -> None:
-        super().__init__(rails, turntable, memory, safety, inputs=inputs)
+        super().__init__(*axes, inputs=inputs)
         self._lines, self._truth = lines, truth
         self._aborted = False
         self.order_abort: Callable[[], None] = lambda: None

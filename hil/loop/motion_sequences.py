@@ -13,7 +13,7 @@ from hil.core import alarm_table as table
 from hil.core.gnc_records import GncMode
 from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
-from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import TOO_LATE, JogRequest, Operator, OperatorCommand, StopCommanded
 from hil.drivers.base import Jogs
 from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
@@ -76,11 +76,13 @@ class MotionSequencer:
         """Cycles between two checks of the links in the closed loop."""
 
     def tick(self) -> Tick:
-        """Wait for the next cycle, read the axes, and check them and the links. Raises BenchError."""
+        """Wait for the next cycle, read the axes, check them and the links. Raises BenchError, StopCommanded."""
         self._newest = tick = self._overrun_monitor.wait(self._rate)
         self.ticks += 1
         self.check(tick.now_s)
         self._operator.poll(tick.now_s)
+        if OperatorCommand.STOP in self._operator.pending:
+            raise StopCommanded
         if self.ticks % self._ticks_per_cycle == 0:
             self.loop.gnc.on_idle_cycle(_GNC_MODES.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
         if self.ticks % self._link_check_ticks == 0:
@@ -108,7 +110,7 @@ class MotionSequencer:
         return self.tick()
 
     def _warn(self) -> None:
-        """Warn before the first motion after the drives were enabled. Raises StopCommanded."""
+        """Warn before the first motion after the drives were enabled."""
         duration_s, self.warning_s = self.warning_s, 0.0
         if duration_s == 0.0:
             return
@@ -116,8 +118,6 @@ class MotionSequencer:
         self.loop.safety_io.warn(True, now_s)
         while now_s - begun_s < duration_s:
             now_s = self.tick().now_s
-            if OperatorCommand.STOP in self._operator.pending:
-                raise StopCommanded
         self.loop.safety_io.warn(False, now_s)
 
     def home(self) -> None:
@@ -286,10 +286,10 @@ class MotionSequencer:
             raise hold_trip(self.safety.hold_reason)
 
     def hold(self, tick: Tick) -> Tick:
-        """Brake all axes and hold them until RESUME and until the GNC is ready; return the tick of the resumption.
+        """Brake all axes and hold them until RESUME; return the tick of the resumption.
 
         tick: one without a setpoint yet. Poses received meanwhile are discarded; at the end the setpoints are seeded
-        from the encoders.
+        from the encoders. RESUME waits for the GNC and the standstill only as long as the operator still means it.
         """
         bench = self.loop.bench
         held_mode = self.modes.mode
@@ -300,7 +300,11 @@ class MotionSequencer:
                 moved_s = tick.now_s
             command = self._poll_command(Mode.HOLD)
             resume = command is OperatorCommand.RESUME or (resume and command is not OperatorCommand.HOLD)
-            if resume and not self.loop.gnc.blocking_reason and tick.now_s - moved_s >= _HELD_S:
+            blocking = self.loop.gnc.blocking_reason or ("axes moved" if tick.now_s - moved_s < _HELD_S else "")
+            if resume and self._operator.is_late(OperatorCommand.RESUME):
+                resume = False
+                self._operator.rejections.append(f"bench: resume {TOO_LATE} ({blocking or 'no cycle in time'})")
+            if resume and not blocking:
                 break
             tick = self.tick()
             if held_mode is Mode.RUNNING:

@@ -104,6 +104,8 @@ class Runner:
         self.cycles: Cycles = cycles(loop, python) if cycles else python
         self._parked = False
         self._powered = False
+        self._missing_frames = 0
+        """Frames of the vision unit that ARM still waits for."""
         core = loop.memory.state
         self._watch = LoopWatch(lambda: (int(core.cycle), self._sequencer.ticks), self._step_timeout_s)
 
@@ -214,6 +216,7 @@ class Runner:
         self._sequencer.warning_s = self._plan.warning_s
         self.loop.bench.open(self.rate.now_s())
         self.loop.target.open(self.rate.now_s())
+        self._missing_frames = 0
         released_s = self.rate.now_s()
         self.loop.safety_io.release_brakes(True, released_s)
         open_s, now_s = self._plan.brakes.open_s, released_s
@@ -226,9 +229,11 @@ class Runner:
     def _next_command(self) -> OperatorCommand | None:
         """Return the next command; None if the run is over, the bench is parked, or no operator can issue one."""
         while not (self.loop.done or self._parked):
-            command = self.operator.next_command(self._modes.mode)
-            if command is not None or not self.operator.attended:
-                return command
+            waits = self._missing_frames > 0
+            if not waits or OperatorCommand.DISARM in self.operator.pending:
+                command = self.operator.next_command(self._modes.mode)
+                if command is not None or not (self.operator.attended or waits):
+                    return command
             self._stand_by()
         return None
 
@@ -236,7 +241,8 @@ class Runner:
         """Run one monitored cycle without motion."""
         self._watch.check()
         tick = self._sequencer.tick()
-        self.loop.discard_frames(tick.now_s)
+        frames = self.loop.discard_frames(tick.now_s)
+        self._missing_frames = max(0, self._missing_frames - frames)
         if self._sequencer.ticks % self._sequencer.progress_ticks == 0:
             self._on_progress(self._modes.mode, 0.0)
 
@@ -253,11 +259,16 @@ class Runner:
             case OperatorCommand.JOG:
                 self._sequencer.jog()
             case OperatorCommand.ARM:
+                self._check_standing()
                 self._sequencer.place()
-                self._arm()
+                self._modes.go(Mode.ARMED)
+                self._missing_frames = self._plan.frames_to_arm
+            case OperatorCommand.START if self._missing_frames:
+                self.operator.rejections.append("bench: cannot start: no frames of the vision unit yet")
             case OperatorCommand.START:
                 self._close_the_loop()
             case OperatorCommand.DISARM:
+                self._missing_frames = 0
                 self._modes.go(Mode.STANDBY)
             case OperatorCommand.PARK:
                 self._park()
@@ -270,15 +281,13 @@ class Runner:
             self._sequencer.park(self._plan.park_position)
         self._parked = True
 
-    def _arm(self) -> None:
-        """Wait for the required frames of the vision unit."""
-        self._modes.go(Mode.ARMED)
-        frames = 0
-        while frames < self._plan.frames_to_arm:
-            self._watch.check()
-            tick = self._sequencer.tick()
-            frames += self.loop.discard_frames(tick.now_s)
-            self._on_progress(Mode.ARMED, 0.0)
+    def _check_standing(self) -> None:
+        """Let the bench stand until the parts that check it so have done."""
+        pending = [*self.parts.before_motion]
+        while pending:
+            self._stand_by()
+            now_s, feedback = self.rate.now_s(), self.loop.now.feedback
+            pending = [check for check in pending if not check(now_s, feedback)]
 
     def _close_the_loop(self) -> None:
         self._sequencer.seed_for_run()

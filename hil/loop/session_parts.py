@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.core.camera_images import ImageSink
 from hil.core.clock import BenchClock
 from hil.core.operator_commands import Operator
 from hil.core.realtime import SchedulingPolicy
 from hil.errors import BenchError
-from hil.frmn.image_memory import ImageMemory
 from hil.frmn.ring import Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.outcome import Outcome
 from hil.loop.sensor_stage import SampleSource
+
+if TYPE_CHECKING:
+    from hil.core.camera_images import ImageSink
+    from hil.frmn.image_memory import ImageMemory
 
 
 class RunSinks(Protocol):
@@ -78,6 +80,9 @@ class SessionParts:
     """Return, at the end, the numbers of ``Outcome.measured``."""
     before_open: list[Callable[[], None]] = field(default_factory=list)
     """Called before each opening of the devices; raise BenchError if the bench must not run."""
+    before_motion: list[Callable[[float, np.record], bool]] = field(default_factory=list)
+    """Called with bench time and FEEDBACK while the bench stands, before it moves to the start of a run, until they
+    return True; raise BenchError if it must not move."""
     process_pauses: Callable[[], dict[str, float]] = dict
     """Returns the pauses by the host, s, of the processes that serve the devices."""
     process_failures: Callable[[BenchError], str | None] = lambda _: ""

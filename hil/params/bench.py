@@ -10,14 +10,14 @@ import numpy as np
 from hil.bench.bench_guard import BENCH_GUARD_PARAMS
 from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
-from hil.bench.kinematics import BENCH_PARAMS
+from hil.bench.kinematics import BENCH_PARAMS, axes_of_pose, pose_on_bench
 from hil.bench.manipulator import MANIPULATOR
 from hil.config.bench_geometry import errors_as_built, measured_errors
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
-from hil.core.messages import Array, new
+from hil.core.messages import AXES, Array, new
 from hil.maths import linear, quat
 from hil.models.bodies import BODIES
 from hil.params.geometry import set_geometry
@@ -77,6 +77,23 @@ def bench_as_built(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> n
     params = bench(rig, step_s, shown)
     set_geometry(params, rig, errors_as_built(rig, shown.errors))
     return params
+
+
+def ideal_axes(rig: Rig, axes: Array) -> Array:
+    """Return the axes (n, 6), m and rad, of an ideal machine that shows what the measured one does at ``axes``.
+
+    Without a file these themselves. Raises BadInput for a file that does not fit.
+    """
+    machine, ideal = bench(rig, 1.0), bench(rig, 1.0)
+    if not machine.geometry.enabled:
+        return axes
+    set_geometry(ideal, rig, None)
+    shown, rest, r, q, record = np.empty_like(axes), np.zeros(3), np.empty(3), np.empty(4), new(AXES)
+    for k, position in enumerate(axes):
+        pose_on_bench(machine, position[:3], position[3:], r, q)
+        axes_of_pose(ideal, r, rest, q, rest, record)
+        shown[k] = *record.rail_m, *record.gimbal_rad
+    return shown
 
 
 def manipulator(rig: Rig) -> np.record | None:

@@ -13,7 +13,7 @@ from hil.config.tables.body import CentralBody
 from hil.config.tables.truth import BendingMode, Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
-from hil.dynamics.central_gravity import acceleration, field_table
+from hil.dynamics.central_gravity import GRAVITY_PARAMS, acceleration, field_table
 from hil.dynamics.eclipse import visible_sun
 from hil.dynamics.gravity_file import GravityField
 from hil.dynamics.imu import IMU_PARAMS
@@ -63,6 +63,13 @@ def expected_rate(scenario: Scenario) -> float:
     return AT_REST_RADPS if scenario.truth.relative_motion == "free" else mean_motion(scenario.gnc_orbit)
 
 
+def known_orbit(scenario: Scenario) -> Orbit:
+    """Return the target's orbit with all errors of the GNC's ephemeris."""
+    orbit = scenario.gnc_orbit
+    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(orbit)
+    return orbit.model_copy(update={"true_anomaly_deg": orbit.true_anomaly_deg + math.degrees(ahead)})
+
+
 def mean_motion(target: Orbit) -> float:
     """Return the mean orbital rate of ``target`` about a point mass, rad/s."""
     a_m = semi_major_axis_m(target)
@@ -76,8 +83,13 @@ def gravity(scenario: Scenario) -> GravityField:
 
 def whole_field(scenario: Scenario) -> GravityField:
     """Return the field to its highest degree: of the scenario's file, or of the body. Raises GravityFileError."""
-    body = central_body(scenario.orbit)
-    given = scenario.truth.gravity_file or body.gravity_file
+    return field_of(scenario.orbit, scenario.truth.gravity_file)
+
+
+def field_of(target: Orbit, file: str | None) -> GravityField:
+    """Return the field of ``file``, or that of the orbit's body, to its highest degree. Raises GravityFileError."""
+    body = central_body(target)
+    given = file or body.gravity_file
     if given is None:
         return gravity_file.of_zonal(body.gm_m3ps2, body.radius_m, body.zonal)
     return gravity_file.read(Path(given)).of_body(body.gm_m3ps2, body.radius_m, body.name)
@@ -113,7 +125,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params.target_attitude = target_attitude(scenario)
     params.plume = plume(scenario)
     _set_thrusters(params, scenario, thruster_draws)
-    _set_gravity(params, scenario)
+    set_gravity(params.gravity, scenario.orbit, gravity(scenario))
     _set_sun(params, scenario)
     _set_orbit_forces(params.forces, scenario)
     if scenario.chaser.solar_array is not None:
@@ -156,13 +168,11 @@ def _set_thrusters(params: np.record, scenario: Scenario, draws: Array | None) -
     params.exhaust_speed = thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
 
 
-def _set_gravity(params: np.record, scenario: Scenario) -> None:
-    model = gravity(scenario)
-    params.gravity.gm = model.gm
-    params.gravity.radius = model.radius
-    params.gravity.degree = scenario.truth.gravity_degree
-    params.gravity.rotation = math.radians(scenario.orbit.body_rotation_deg)
-    params.gravity.rate = central_body(scenario.orbit).spin_radps
+def set_gravity(params: np.record, target: Orbit, model: GravityField) -> None:
+    """Write GRAVITY_PARAMS of ``model`` about the body of an orbit."""
+    params.gm, params.radius, params.degree = model.gm, model.radius, model.degree
+    params.rotation = math.radians(target.body_rotation_deg)
+    params.rate = central_body(target).spin_radps
 
 
 def sun_direction(scenario: Scenario) -> Array:
@@ -261,27 +271,31 @@ def _sunlight(scenario: Scenario, r_T_I: Array) -> float:
     return float(visible_sun(params.shadow_radius, params.sun_angle, r_T_I, params.sun_I))
 
 
+def state_at_start(gm: float, target: Orbit) -> tuple[Array, Array]:
+    """Return position, m, and velocity, m/s, each (3,), inertial, of an orbit at the start of a run; gm: m^3/s^2."""
+    return orbit.state_of_elements(
+        gm,
+        semi_major_axis_m(target),
+        target.eccentricity,
+        math.radians(target.inclination_deg),
+        math.radians(target.raan_deg),
+        math.radians(target.argument_of_periapsis_deg),
+        math.radians(target.true_anomaly_deg),
+    )
+
+
 def _set_target(truth: np.record, scenario: Scenario) -> None:
     """Write the target's state, and the Hill frame or the axes of a target that rotates against it."""
-    params = new(DSS_PARAMS)
-    _set_gravity(params, scenario)
-    elements = scenario.orbit
-    r, v = orbit.state_of_elements(
-        params.gravity.gm,
-        semi_major_axis_m(elements),
-        elements.eccentricity,
-        math.radians(elements.inclination_deg),
-        math.radians(elements.raan_deg),
-        math.radians(elements.argument_of_periapsis_deg),
-        math.radians(elements.true_anomaly_deg),
-    )
+    params = new(GRAVITY_PARAMS)
+    set_gravity(params, scenario.orbit, gravity(scenario))
+    r, v = state_at_start(params.gm, scenario.orbit)
     a, rate = np.empty((3, 3)), np.empty(3)
     orbit.hill_frame(r, v, a)
     if scenario.truth.relative_motion != "nonlinear":
         rate[:] = 0.0, -orbit_rate(scenario), 0.0
     else:
         pull = np.empty(3)
-        acceleration(params.gravity, field(scenario), 0.0, r, pull)
+        acceleration(params, field(scenario), 0.0, r, pull)
         orbit.hill_rate(r, v, pull, a, rate)
     truth.r_T_I, truth.v_T_I = r, v
     truth.q_HI, truth.w_HI_H = start_attitude(scenario, quat.from_matrix(a), rate)

@@ -10,6 +10,8 @@ from hil.core.messages import Array
 from hil.maths import quat
 
 _RAILS = "xyz"
+_POWERS = np.array([[0.0, 1.0, 0.0, 0.0], [-0.5, 0.0, 1.5, 0.0], [0.0, -1.5, 0.0, 2.5]])
+"""Powers of t in the Legendre polynomials P1, P2, P3."""
 
 
 def set_geometry(params: np.record, rig: Rig, vector: Array | None) -> None:
@@ -33,19 +35,20 @@ def set_geometry(params: np.record, rig: Rig, vector: Array | None) -> None:
     for i, name in enumerate(_RAILS):
         if not g.inverse[i]:  # a fixed rail: its errors are those of its base
             continue
-        g.rail[i, :, i] = of[f"{name}_position_m"]
-        g.rail[i, :, 3:] = of[f"{name}_rotation_deg"].reshape(3, 3).T
+        legendre = np.zeros((3, 6))  # P1, P2, P3
+        legendre[:, i] = of[f"{name}_position_m"]
+        legendre[:, 3:] = of[f"{name}_rotation_deg"].reshape(3, 3).T
         across = [axis for axis in range(3) if axis != i]
-        g.rail[i][1:, across] = of[f"{name}_straightness_m"].reshape(2, 2).T
+        legendre[1:, across] = of[f"{name}_straightness_m"].reshape(2, 2).T
+        terms = [np.multiply.outer(powers, row) for powers, row in zip(_POWERS, legendre, strict=True)]
+        g.rail[i] = terms[0] + terms[1] + terms[2]
     moves = g.inverse > 0.0
     g.squareness = of["squareness_deg"] * [moves[1], moves[2], moves[2]]
     outer, middle, inner = params.order
     g.zero[[outer, middle, inner]] = of["turntable_deg"][outer], of["middle_deg"][1], of["reference_deg"][inner]
-    g.turntable_tilt, g.reference_tilt = of["turntable_deg"], of["reference_deg"]
-    g.turntable_tilt[outer] = g.reference_tilt[inner] = 0.0
-    g.outer = 0.0
-    g.outer[outer] = 1.0
-    g.sign = sign = 1.0 if (middle - outer) % 3 == 1 else -1.0
-    g.middle_tilt, g.middle_offset = sign * of["middle_deg"][0], sign * of["middle_m"][0]
-    g.inner_tilt, g.inner_offset = sign * of["inner_deg"][0], of["inner_m"] * [sign, 1.0]
+    g.turntable_tilt, reference = of["turntable_deg"], of["reference_deg"].copy()
+    g.turntable_tilt[outer] = reference[inner] = 0.0
+    g.q_reference = quat.from_rotation_vector(reference)
+    g.middle_tilt, g.middle_offset = of["middle_deg"][0], of["middle_m"][0]
+    g.inner_tilt, g.inner_offset = of["inner_deg"][0], of["inner_m"]
     g.base, g.q_base = of["base_m"], quat.from_rotation_vector(of["base_deg"])

@@ -36,7 +36,8 @@ from hil.maths.elementary import square
 from hil.maths.kepler import mean_anomaly
 from hil.params.bench import bodies as bodies_on
 from hil.params.control_rule import control_rule
-from hil.params.dynamics import AT_REST_RADPS, expected_rate, initial_truth, semi_major_axis_m, sun_direction
+from hil.params.dynamics import AT_REST_RADPS, expected_rate, initial_truth, known_orbit, sun_direction
+from hil.params.ephemeris import known_ephemeris
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
@@ -293,11 +294,11 @@ def _reactions(scenario: Scenario) -> np.record:
 
 def target_orbit(scenario: Scenario) -> np.record:
     """Return TARGET_ORBIT: the target's orbit with the errors of the GNC's ephemeris."""
-    orbit, params = scenario.gnc_orbit, new(TARGET_ORBIT)
+    orbit, params = known_orbit(scenario), new(TARGET_ORBIT)
     params.mean_motion = expected_rate(scenario)
     params.eccentricity = orbit.eccentricity
-    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(orbit)
-    params.mean_anomaly = mean_anomaly(orbit.eccentricity, math.radians(orbit.true_anomaly_deg) + ahead)
+    params.mean_anomaly = mean_anomaly(orbit.eccentricity, math.radians(orbit.true_anomaly_deg))
+    params.ephemeris = known_ephemeris(scenario)
     params.tumble = known_tumble(scenario, params.mean_motion)
     params.estimated = scenario.target.motion != "aligned" and scenario.gnc.target.rate_sigma_degps > 0.0
     params.moments, params.q_PB = scenario.target.moments_kg_m2, principal_axes(scenario.target)

@@ -324,6 +324,8 @@ GEOMETRY: Final = Part(
             "hil geometry plan lab.toml -o plan.csv",
         ),
     },
+    uses=lambda _, rig: rig.bench.geometry_file is not None and rig.table_of_part("tracker") is None,
+    attach="hil.parts.geometry.budget:attach",
 )
 
 EXPORT: Final = Part(

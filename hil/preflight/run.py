@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
 from hil.checks.unseen import unseen_warnings
@@ -73,6 +74,7 @@ def preflight(
     announce("checking the planned trajectory")
     checks.append(reachability_check(scenario, rig))
     checks += [PreflightCheck("axes", None, line) for line in unseen_warnings(run, rig.value)]
+    checks += [PreflightCheck("orbit", None, line) for line in ephemeris_warnings(run, rig.value, run.duration_s)]
     if rig.value.kind != "mock":
         checks.append(overtravel_check(rig.value))
     if on_hardware:

@@ -67,6 +67,7 @@ _BLOCK_BYTES_MAX: Final = 256 * MIB
 _WINDOW_BYTES_MAX: Final = 128 * MIB  # of zstd, at its highest level
 _UNPACKED_FREE: Final = 8 * MIB
 _UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
+_PRIVATE: Final = 0x80  # first type of the records that programs may add, which readers skip
 _INDEXED: Final = {
     ChunkIndex: Opcode.CHUNK,
     AttachmentIndex: Opcode.ATTACHMENT,
@@ -235,6 +236,8 @@ class Scan:
                 return [_attachment(content)]
             if opcode == Opcode.MESSAGE_INDEX:
                 _check_message_index(content)
+                return []
+            if opcode >= _PRIVATE:
                 return []
             if opcode not in _READERS:
                 raise UnsupportedBlock(f"a record of the unknown type {opcode}")

@@ -334,7 +334,9 @@ class RunResults(Results):
     navigation: NavigationResults = row()
     thrusters: ThrusterUse = row()
     control: dict[str, Any] | None = row("[rule](../../explanation/control.md#the-rule) of the built-in control")
-    orbit: dict[str, Any] = row("central `body`; `eclipse_s`, time in its shadow")
+    orbit: dict[str, Any] = row(
+        "central `body`; `eclipse_s`, time in its shadow; `ephemeris`, if the GNC's is not good for the whole run"
+    )
     gnc: dict[str, Any] = row("library, class or backends, with digests")
     vision: dict[str, int] = row("[counters](wires.md) and [clock](../wire-formats.md#vision-unit) of the vision unit")
     drift_check: dict[str, Any] | None = row("check of the cameras before the run")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from hil.checks.compatibility import sign_off_gap
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.waivers import waivers
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -62,6 +63,7 @@ def summarise(
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     measured = outcome.measured
     results.bench.limited_cycles = outcome.limited_cycles
+    ephemeris = ephemeris_warnings(scenario, rig, (int(stats.cycles) - 1) * scenario.step_s, seed)
     for name, error in measured.get("bench", {}).items():
         setattr(results.bench, name, RmsMax.of(error))
     for name, rate_hz_of in measured.get("exchanges", {}).items():
@@ -82,6 +84,7 @@ def summarise(
         docking_go_s=docking_go_s(outcome.events),
         control=control_numbers(history, scenario),
         gnc=gnc_summary(scenario),
+        orbit=results.orbit | {"ephemeris": ephemeris[0] if ephemeris else None},
         vision=outcome.vision_counters,
         drift_check=measured.get("drift_check") or None,
         timing=replace(

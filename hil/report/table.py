@@ -61,6 +61,8 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     if run.gnc and run.gnc["library"] is not None:
         yield Text(f"GNC         {run.gnc['library']}")
     yield _navigation_text(run.navigation)
+    if run.orbit["ephemeris"]:
+        yield Text(f"Orbit       {run.orbit['ephemeris']}")
     if truth := run.truth:
         yield (
             f"Truth       measured by {truth['measured_by']}, 1 sigma up to {1e3 * truth['sigma_m']:.2f} mm, "

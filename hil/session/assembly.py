@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from hil.checks.faults import unfused_sensors
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
-from hil.core.camera_images import ImageSink
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.part import provided
@@ -38,7 +37,6 @@ from hil.loop.bench_stage import NO_INPUTS, BenchStage, SafetyInputs
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.cycle import CyclesOf, Loop
-from hil.loop.floating import FloatingBench, FloatingDss, MeasuredTruth, MeasuredVision
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
@@ -56,10 +54,14 @@ from hil.params.sensors import sensors_of
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
-from hil.session.floating import SimulatedVehicle
 from hil.session.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.session.pose_model import PoseSensor, make_pose_sensor, transport
 from hil.session.sample_sources import datagram_sensors, wired_sensors
+
+if TYPE_CHECKING:
+    from hil.core.camera_images import ImageSink
+    from hil.loop.floating import MeasuredTruth
+    from hil.session.floating import SimulatedVehicle
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
@@ -211,25 +213,22 @@ def assemble(
     lines = _safety_io(rig, devices.io, memory)
     rotated, held = _target(job, rig, devices, sinks)
     inputs = SafetyInputs(lines.emergency_input, lines.local_enable) if lines else NO_INPUTS
-    measured = None if rig.floating is None else MeasuredTruth(memory, rig.floating, rig.vmu.rate_hz)
-    stage = BenchStage(devices.rails, devices.turntable, memory, safety, rotated, inputs)
-    if measured is not None:
-        assert lines is not None
-        stage = FloatingBench(devices.rails, devices.turntable, memory, safety, inputs, lines, measured)
+    measured = _measured_truth(memory, rig)
+    axes = devices.rails, devices.turntable, memory, safety
+    floats = measured.bench(axes, inputs, lines) if measured is not None and lines is not None else None
+    stage = floats or BenchStage(*axes, rotated, inputs)
     sensors = _sensors(job, rig, devices, stage, memory, parts)
     gnc, on_frame_used = _backend(job, rig, rate, memory)
     gnc.request_hold = safety.request_hold
-    if isinstance(stage, FloatingBench):
-        stage.order_abort = gnc.order_abort
+    if floats is not None:
+        floats.order_abort = gnc.order_abort
     vision_sinks = on_frame_used, sinks.get("arrivals")
     conditions = gnc.filter_monitor.conditions if gnc.filter_monitor is not None else None
     loop = Loop(
         memory=memory,
         dss=_dss(job, rig, memory, parts, measured),
         bench=stage,
-        vision=VisionStage(devices.source, memory, *vision_sinks)
-        if measured is None
-        else MeasuredVision(devices.source, memory, measured, *vision_sinks),
+        vision=(VisionStage if measured is None else measured.vision)(devices.source, memory, *vision_sinks),
         gnc=gnc,
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=reduce(lambda rows, layer: layer(rows), parts.layers, parts.telemetry or NoTelemetry()),
@@ -448,12 +447,30 @@ def _dss(
     """
     scenario, noise = job.truth, NormalRows(noise_source(job.seed, "imu"), IMU_NOISE)
     if measured is not None:
-        return FloatingDss(memory, dynamics_params.field(scenario), noise, measured)
+        return measured.dss(memory, dynamics_params.field(scenario), noise)
     stage = provided("models", "scenario") if scenario.models else lambda _, *parts: DssStage(*parts)
     sink = parts.sinks.get("imu_samples") if job.scenario.value.imu_samples > 1 else None
     gyros = None if parts.imu is None else BenchGyros(parts.imu, rig, memory)
     made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink, gyros)
     return made
+
+
+def _measured_truth(memory: CoreMemory, rig: Rig) -> MeasuredTruth | None:
+    """Return the truth of a vehicle that floats."""
+    if rig.floating is None:
+        return None
+    from hil.loop.floating import MeasuredTruth
+
+    return MeasuredTruth(memory, rig.floating, rig.vmu.rate_hz)
+
+
+def _simulated_vehicle(scenario: Scenario, rig: Rig, seed: int) -> SimulatedVehicle | None:
+    """Return the simulation of a vehicle that floats."""
+    if rig.floating is None:
+        return None
+    from hil.session.floating import SimulatedVehicle
+
+    return SimulatedVehicle(scenario, rig, seed)
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
@@ -493,7 +510,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
     bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
     manipulator = bench_params.manipulator(rig)
 
-    vehicle = None if rig.floating is None else SimulatedVehicle(scenario, rig, seed)
+    vehicle = _simulated_vehicle(scenario, rig, seed)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         if vehicle is not None:

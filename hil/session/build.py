@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.checks import compatibility
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
+from hil.checks.ephemeris import check_length
 from hil.checks.faults import check_faults, check_sensors
 from hil.checks.floating import check_floating
 from hil.checks.lock_step import check_lock_step
 from hil.checks.observability import check_observability
-from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.checks.wired_imu import check_wired_imu
-from hil.core.camera_images import ImageSink
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.operator_commands import Operator
 from hil.core.part import hooks, provided
@@ -31,6 +30,9 @@ from hil.session.assembly import assemble, core_memory, library_problems, mocks
 from hil.session.compiled import compiled_cycles
 from hil.session.compiled import runs_compiled as runs_compiled
 
+if TYPE_CHECKING:
+    from hil.core.camera_images import ImageSink
+
 
 def check(job: Job) -> None:
     """Raise BadInput with every problem of the scenario on the rig."""
@@ -39,6 +41,7 @@ def check(job: Job) -> None:
         *check_floating(job.scenario, job.rig),
         *check_wired_imu(job.scenario, job.rig),
         *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
+        *check_length(job.scenario, job.cycles * job.scenario.value.step_s),
         *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
         *compatibility.check_scenario_limits(job.scenario, job.rig),
         *(compatibility.check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
@@ -49,7 +52,11 @@ def check(job: Job) -> None:
         *_rig_problems(job),
     ]
     problems = problems or library_problems(job.scenario, job.own) or compatibility.check_sign_off(job.rig)
-    if problems := problems or check_preflight(job.rig, job.scenario.value.step_s):
+    if not problems and job.rig.value.kind == "hardware":
+        from hil.checks.signed_record import check_preflight
+
+        problems = check_preflight(job.rig, job.scenario.value.step_s)
+    if problems:
         raise BadInput(problems)
 
 

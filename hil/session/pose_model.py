@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hil.bench.kinematics import pose_on_bench
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario, VisionNoise
-from hil.core.camera_images import ImageSink
 from hil.core.messages import VMU_FRAME, Array, PoseFrame, new
 from hil.core.part import provided
 from hil.drivers.vmu.transport import Transport
@@ -19,6 +18,9 @@ from hil.params import bench as bench_params
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.errors import VISION_MEMORY
 from hil.sensors.vision_unit.model import VISION_NOISE, measure_frame
+
+if TYPE_CHECKING:
+    from hil.core.camera_images import ImageSink
 
 
 class PoseSensor(Protocol):

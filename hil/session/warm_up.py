@@ -8,13 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
-from hil.core.child_process import ChildProcess
 from hil.core.clock import SimulatedClock
 from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
 from hil.core.messages import AXES, new
@@ -30,6 +29,9 @@ from hil.params import bench as bench_params
 from hil.session.assembly import Job, start_axes
 from hil.session.build import in_memory, runs_compiled
 from hil.session.compiled import Kernels, kernels_are_cached, mark_kernels_cached
+
+if TYPE_CHECKING:
+    from hil.core.child_process import ChildProcess
 
 FIRST_START = "first start: compiling the kernels for this computer, once"
 _CYCLES = 10
@@ -105,6 +107,8 @@ def _compile_beside(children: list[ChildProcess], group: Kernels, job: Job) -> N
 @contextmanager
 def _compilers() -> Iterator[list[ChildProcess]]:
     """Compile the GNC, and in the time that it leaves to others the verdict, until the end of the context."""
+    from hil.core.child_process import ChildProcess  # compiled kernels need no process
+
     with ExitStack() as processes:
         children = [
             processes.enter_context(ChildProcess(f"precompile process, {each['group']}", "hil.cli.precompile", each))

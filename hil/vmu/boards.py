@@ -12,7 +12,7 @@ from hil.config.vmu_geometry import LEGACY, OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import quat
-from hil.vmu.estimators import PRINT, FlatTarget, PoseEstimate
+from hil.vmu.estimators import GEOMETRY, PRINT, FlatTarget, PoseEstimate
 from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels.records import MAX_LEDS, SPOT
 from hil.vmu.pose import Solver, SolverSettings, fits_within_budget
@@ -28,7 +28,7 @@ _AMBIGUOUS: Final = "ambiguous"
 _SHIFTED: Final = 4.5  # sigmas between the two images
 _DECISIVE: Final = 8.0  # of the score, by which one of the two tilts of a flat target is better
 _AWAY, _AWAY_PX = 5.5, 1.0  # sigmas and pixels by which a corner contradicts a pose
-_REACH_PX, _ACROSS = 2.0, 17  # on both sides of an edge, and samples across it
+_REACH_PX, _REACH_CELLS, _ACROSS = 2.0, 0.5, 17  # on both sides of an edge, at most, and samples across it
 _LEAST_CELL_PX: Final = 3.0
 _ROUNDS: Final = 4
 _CURVED_PX: Final = 80.0
@@ -150,11 +150,11 @@ class BoardEstimator:
         return bool(((squares > _AWAY**2) & (np.abs(away).max(axis=1) > _AWAY_PX)).any())
 
     def _chosen(self, corners: list[Corners]) -> tuple[int, ...]:
-        """Return corners that both images show, else of the better one: each the farthest from those before."""
-        both = sorted(set(corners[0]) & set(corners[1]))
-        ids = both if len(both) >= 4 else sorted(corners[0] if len(corners[0]) >= len(corners[1]) else corners[1])
-        if len(ids) <= MAX_LEDS:
-            return tuple(ids)
+        """Return the corners, of too many those that both images show: each the farthest from those before."""
+        either, both = (sorted(ids) for ids in (set(corners[0]) | set(corners[1]), set(corners[0]) & set(corners[1])))
+        if len(either) <= MAX_LEDS:
+            return tuple(either)
+        ids = both if len(both) >= MAX_LEDS else either
         places = self._points[ids]
         chosen = [int(np.argmax(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
         while len(chosen) < MAX_LEDS:
@@ -173,9 +173,9 @@ class BoardEstimator:
 
     def _starts(self, corners: list[Corners], ids: tuple[int, ...]) -> list[tuple[Array, Array]]:
         """Return the two poses (r, t) of a flat target by the image that shows more corners."""
-        side = 0 if len(corners[0]) >= len(corners[1]) else 1
-        camera = (self._geometry.left, self._geometry.right)[side]
-        seen = [k for k in ids if k in corners[side]]
+        seen_by = [[k for k in ids if k in image] for image in corners]
+        side = 0 if len(seen_by[0]) >= len(seen_by[1]) else 1
+        camera, seen = (self._geometry.left, self._geometry.right)[side], seen_by[side]
         matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
         pixels = np.array([corners[side][k] for k in seen])
         _, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -197,7 +197,7 @@ def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimat
     ways = ways_of(geometry, (OFFICIAL, OPENCV), (OFFICIAL, OPENCV))
     if len(ways) > 1 and len(chosen.tags) == 1:
         text = 'is missing: a single tag has one pose for print = "official", as by the AprilTag library and '
-        raise BadInput.single("geometry file", "print", f'{text}hil targets print, and another one for "opencv"')
+        raise BadInput.single(GEOMETRY, "print", f'{text}hil targets print, and another one for "opencv"')
     number = {tag[0]: _TAG * k for k, tag in enumerate(chosen.tags)}
     dictionary = chosen.dictionary()
     cells = dictionary.markerSize + 2
@@ -244,15 +244,17 @@ def refined(image: np.ndarray, corners: Array, cells: int) -> Array | None:
     for _ in range(_ROUNDS):
         lines = []
         for a in range(4):
-            start, along = corners[a], corners[(a + 1) % 4] - corners[a]
-            length = float(np.linalg.norm(along))
-            if length < _LEAST_CELL_PX * cells:
-                return None
+            start, along, beside = corners[a], corners[(a + 1) % 4] - corners[a], corners[a - 1] - corners[a]
+            length = max(float(np.linalg.norm(along)), 1e-9)
             normal = np.array([along[1], -along[0]]) / length
+            cell = abs(float(normal @ beside)) / cells
+            if not cell >= _LEAST_CELL_PX:
+                return None
             if normal @ (start - corners.mean(axis=0)) < 0.0:
                 normal = -normal
             at = np.linspace(0.12, 0.88, max(8, round(length)))
-            across = np.linspace(-_REACH_PX, _REACH_PX, _ACROSS)
+            reach = min(_REACH_PX, _REACH_CELLS * cell)  # not into the cells behind
+            across = np.linspace(-reach, reach, _ACROSS)
             places = (start + at[:, None] * along)[:, None] + across[None, :, None] * normal
             u, v = (places[..., i].astype(np.float32) for i in range(2))
             seen = cv2.remap(levels, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

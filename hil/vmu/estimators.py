@@ -13,7 +13,7 @@ The value is a function of the geometry (cameras, LEDs) and of the table ``[vmu.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Final, Protocol
@@ -27,6 +27,8 @@ from hil.errors import BadInput
 
 GROUP: Final = "hil.pose_estimators"
 LED_RING: Final = "led_ring"
+GEOMETRY: Final = "geometry file"
+"""Source of the problems of a geometry, which an estimator raises."""
 PRINT: Final = "rejected_print"
 """Status: the target fits several ways to print it, or not the one of the geometry file."""
 _BUILT_IN: Final = {
@@ -115,12 +117,20 @@ class PoseEstimator(Protocol):
 Factory = Callable[[VmuGeometry, Mapping[str, Any]], PoseEstimator]
 
 
-def make_estimator(name: str, geometry: VmuGeometry, settings: Mapping[str, Any]) -> PoseEstimator:
-    """Return the estimator ``name``. Raises BadInput that names key, value and what is allowed."""
+def make_estimator(
+    name: str, geometry: VmuGeometry, settings: Mapping[str, Any], source: str | None = None
+) -> PoseEstimator:
+    """Return the estimator ``name``. Raises BadInput that names key, value and what is allowed.
+
+    source: path of the geometry file, if it is from one, for errors.
+    """
     try:
         return _factory(name)(geometry, settings)
-    except BadInput:
-        raise
+    except BadInput as error:
+        if source is None:
+            raise
+        problems = [replace(each, source=source) if each.source == GEOMETRY else each for each in error.problems]
+        raise BadInput(problems) from error
     except Exception as cause:
         text = f'estimator "{name}" cannot be made: {raised_text("", cause)}'
         raise BadInput.single("rig", "vmu.estimator_settings", text) from cause

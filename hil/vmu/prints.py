@@ -19,7 +19,7 @@ from hil.config.tables.model import ConfigModel, Positive
 from hil.config.vmu_geometry import LEGACY, OFFICIAL, OPENCV, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
-from hil.vmu.estimators import FlatTarget
+from hil.vmu.estimators import GEOMETRY, FlatTarget
 
 _Settings = TypeVar("_Settings", bound=ConfigModel)
 _Image = np.ndarray
@@ -174,7 +174,7 @@ def ways_of(geometry: VmuGeometry, allowed: tuple[str, ...], known: tuple[str, .
     if way is None:
         return allowed
     if way not in known:
-        raise BadInput.single("geometry file", "print", f'"{way}": allowed for this target: {", ".join(known)}')
+        raise BadInput.single(GEOMETRY, "print", f'"{way}": allowed for this target: {", ".join(known)}')
     return (way,)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,10 +17,13 @@ from hil.core.files import read_bytes
 from hil.core.image_files import IMAGE_BYTES, decode_grey, depth_note
 from hil.core.video import Video
 from hil.errors import BadInput
+from hil.vmu.unit import DARK
 
 log = logging.getLogger("hil")
 
-UNREADABLE: Final = "rejected_image"
+UNREADABLE, FROZEN = "rejected_image", "rejected_frozen"
+FAULTS: Final = {UNREADABLE: "cannot be read", FROZEN: "equal to the one before", DARK: "black"}
+"""Status of a pair without a usable image -> what is wrong with an image."""
 MOST_FRAMES: Final = 100_000
 
 CAMERAS: Final = "camera:"
@@ -32,13 +36,13 @@ _SIDES: Final = ("left", "right")
 class Pair:
     """One frame. left, right: (h, w), uint8; None if the file is missing or invalid.
 
-    unreadable: sides whose file is truncated or no image. t_s: time of the exposure if the source has one, else None.
+    faults: sides whose image is none to measure, with the status of FAULTS. t_s: of the exposure, None if not known.
     """
 
     frame: int
     left: np.ndarray | None
     right: np.ndarray | None
-    unreadable: tuple[str, ...] = ()
+    faults: Mapping[str, str] = field(default_factory=dict)
     t_s: float | None = None
 
 
@@ -73,13 +77,38 @@ class ImageFolder:
     def pair(self, frame: int) -> Pair:
         """Return the images of ``frame``."""
         images: dict[str, np.ndarray | None] = {}
-        unreadable = []
+        faults = {}
         for side in _SIDES:
             path = self._files[side].get(frame)
             images[side] = None if path is None else read_grey(path)
             if path is not None and images[side] is None:
-                unreadable.append(side)
-        return Pair(frame, images["left"], images["right"], tuple(unreadable))
+                faults[side] = UNREADABLE
+        return Pair(frame, images["left"], images["right"], faults)
+
+
+def exposures(pairs: Iterable[Pair]) -> Iterator[Pair]:
+    """Yield ``pairs`` without images that are equal to the one before of their camera: these are no new exposures.
+
+    Black ones stay, as faults. A warning at the end names the number of both.
+    """
+    shown: dict[str, np.ndarray] = {}
+    counts = Counter[tuple[str, str]]()
+    for pair in pairs:
+        images = {side: image for side in _SIDES if (image := getattr(pair, side)) is not None}
+        faults = {side: fault for side, image in images.items() if (fault := _fault(image, shown.get(side)))}
+        shown |= images
+        counts.update(faults.items())
+        kept = [None if faults.get(side) == FROZEN else getattr(pair, side) for side in _SIDES]
+        yield replace(pair, left=kept[0], right=kept[1], faults={**pair.faults, **faults}) if faults else pair
+    for (side, fault), number in sorted(counts.items()):
+        log.warning("%s images that are %s: %d", side, FAULTS[fault], number)
+
+
+def _fault(image: np.ndarray, before: np.ndarray | None) -> str:
+    if int(image.max()) - int(image.min()) <= 1:
+        return DARK
+    is_new = before is None or not (np.array_equal(before[::16], image[::16]) and np.array_equal(before, image))
+    return "" if is_new else FROZEN
 
 
 def read_grey(path: Path) -> np.ndarray | None:
@@ -177,8 +206,8 @@ class StreamPairs:
         frame = 0
         while self._grab():
             images = [_grey(stream) for stream in self._streams]
-            unreadable = tuple(side for side, image in zip(_SIDES, images, strict=True) if image is None)
-            yield Pair(frame, images[0], images[1], unreadable)
+            faults = {side: UNREADABLE for side, image in zip(_SIDES, images, strict=True) if image is None}
+            yield Pair(frame, images[0], images[1], faults)
             frame += 1
 
     def _grab(self) -> bool:

@@ -61,5 +61,6 @@ STATUSES: Final = {
         "more than 512 lights in an image, whatever the threshold: a background or a sensor with many defects"
     ),
     "rejected_image": VmuStatus("no image can be read"),
+    "rejected_frozen": VmuStatus("both images are those of the frame before: no new measurement"),
     "rejected_size": VmuStatus("an image does not have the size of the geometry file"),
 }

@@ -250,10 +250,6 @@ class VisionUnit:
             spot["var_u"] = spot["var_v"] = 0.01
         return spots
 
-    def rejected(self, t_s: float, status: str) -> Solution:
-        """Return the result for images that could not be read."""
-        return self._no_pose(t_s, status)
-
     def solve_spots(
         self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None
     ) -> Solution:

@@ -15,12 +15,15 @@ from hil.config.load import load_scenario
 from hil.config.tables.host import OnLoss
 from hil.core.clock import SimulatedClock
 from hil.core.modes import Mode
+from hil.core.operator_commands import TOO_LATE
 from hil.frmn.mailbox import MailboxBlock
+from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.outcome import Outcome
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Runner
 from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
+from hil.parts.console.freshness import ACT_S
 from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.parts.console.status import CELLS, MODES, empty_status, status_of
 from hil.session import build
@@ -45,6 +48,7 @@ class Talk:
     said: list[dict[str, Any]] = field(default_factory=list)
     modes: list[Mode] = field(default_factory=list)
     done: dict[str, float] = field(default_factory=dict)
+    left_s: dict[Mode, float] = field(default_factory=dict)
 
     @property
     def mode(self) -> Mode:
@@ -58,6 +62,9 @@ class Talk:
             return False
         self.done[step] = self.now_s
         return True
+
+    def since_s(self, step: str) -> float:
+        return self.now_s - self.done.get(step, self.now_s)
 
     def order(self, word: str, condition: bool) -> None:
         if self.once(word, condition):
@@ -83,7 +90,11 @@ Script = Callable[[Talk], None]
 
 
 def converse(
-    script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0, settings: tuple[str, ...] = ()
+    script: Script,
+    on_loss: OnLoss = "hold",
+    duration_s: float = 2.0,
+    settings: tuple[str, ...] = (),
+    frames_to_arm: int = 0,
 ) -> tuple[Outcome, Talk]:
     """Run scheme 1 on the mock rig; ``script`` is called before each look at the encoders. It ends by itself."""
     job = make_job(duration_s, settings)
@@ -92,13 +103,14 @@ def converse(
     block = MailboxBlock.create(CELLS, "console")
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
     operator = RemoteOperator(OutgoingMessages(there), block["status"], on_loss, LEASE_S, rate.now_s)
-    runner = build.in_memory(job, rate, SessionParts(operator, operator.on_progress))
+    runner = build.in_memory(job, rate, SessionParts(operator, operator.on_progress, frames_to_arm=frames_to_arm))
     operator.attach(runner, adjustable=(DEADBAND,))
     talk = Talk(here, runner, block["status"])
 
     def look(now_s: float) -> tuple[bool | None, bool]:
         talk.now_s = now_s
         if not talk.modes or talk.modes[-1] is not talk.mode:
+            talk.left_s.update(dict.fromkeys(talk.modes[-1:], now_s))
             talk.modes.append(talk.mode)
         if talk.beats and here.fileno() >= 0:
             talk.send(present=talk.present)
@@ -119,6 +131,51 @@ def converse(
         here.close()
         there.close()
         block.close()
+
+
+def given(talk: Talk, word: str, condition: bool) -> None:
+    """Give an order that may be executed within 0.5 s, as the console passes it on."""
+    if talk.once(word, condition):
+        talk.send(order=word, confirmed=True, id=len(talk.done), until_s=talk.now_s + ACT_S)
+
+
+def test_resume_that_the_gnc_delays_is_not_executed_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BuiltinGnc, "blocking_reason", property(lambda gnc: reason[0]))
+    reason = [""]
+
+    def script(talk: Talk) -> None:
+        talk.fly()
+        talk.order("hold", talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5)
+        held = talk.mode is Mode.HOLD and talk.since_s("hold")
+        reason[0] = "no answer of the flight computer" if held and held < 4.0 else ""
+        given(talk, "resume", held > 2.0)
+        talk.order("stop", held > 6.0)
+
+    outcome, talk = converse(script)
+    assert outcome.stop == STOPPED_BY_OPERATOR
+    assert talk.modes[-2:] == [Mode.RUNNING, Mode.HOLD]
+    words = [message["word"] for message in talk.said if "word" in message]
+    assert words == [f"bench: resume {TOO_LATE} (no answer of the flight computer)"]
+
+
+@pytest.mark.parametrize("word", ["start", "stop", "disarm"])
+def test_armed_bench_without_frames_never_starts_late_and_stops_at_once(
+    word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def script(talk: Talk) -> None:
+        talk.order("arm", talk.mode is Mode.STANDBY and talk.now_s > 0.1)
+        armed_s = talk.since_s("arm")
+        monkeypatch.setattr(talk.runner.loop.vision, "discard_pending", lambda _: int(armed_s > 3.0))
+        given(talk, word, talk.mode is Mode.ARMED and armed_s > 1.0)
+        talk.order("stop", armed_s > 5.0)
+
+    _, talk = converse(script, frames_to_arm=2)
+    assert Mode.RUNNING not in talk.modes
+    if word == "start":
+        assert [m["word"] for m in talk.said if "word" in m] == [f"bench: start {TOO_LATE}"]
+    else:
+        left_s = {"stop": talk.now_s, "disarm": talk.left_s.get(Mode.ARMED, 99.0)}[word]
+        assert left_s - talk.done[word] < 0.1
 
 
 def test_run_goes_by_orders_over_the_line_with_hold_and_resume() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.config.tables.cameras import VisionCameras
+from hil.config.tables.cameras import CameraHabits, VisionCameras
 from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
 from hil.drivers.cameras.interfaces import open_camera
 from hil.errors import DeviceError
@@ -124,3 +125,38 @@ def test_set_up_aid_measures_two_cameras_and_saves_what_its_page_asks_for(
         saved = sorted((tmp_path / "pairs" / side).iterdir())
         assert [path.name for path in saved] == ["0000.png", "0001.png", "0002.png"]
         np.testing.assert_array_equal(cv2.imread(str(saved[0]), cv2.IMREAD_GRAYSCALE), IMAGE)
+
+
+def made(**habits: object) -> CameraHabits:
+    return CameraHabits.model_validate(habits)
+
+
+MAKES = {
+    "gain in dB": (made(gain_unit="dB"), {"gain_db": 6.0}, ""),
+    "gain in units of its own": (made(), {"gain_db": 6.0}, "gain_db = 6: the camera has GainRaw alone"),
+    "gain without a unit": (made(gain_unit=""), {"gain_db": 6.0}, "gain_db = 6: the unit of its Gain is not declared"),
+    "gain in percent": (made(gain_unit="%"), {"gain_db": 6.0}, "gain_db = 6: the unit of its Gain is %"),
+    "gain too high": (made(gain_unit="dB"), {"gain_db": 26.0}, "gain_db = 26: allowed 0 to 10"),
+    "another selector of exposures": (made(trigger_selector="ExposureStart"), {}, ""),
+    "no selector of exposures": (
+        made(trigger_selector="ExposureActive"),
+        {},
+        "trigger selector ExposureActive: allowed FrameStart, ExposureStart, AcquisitionStart",
+    ),
+}
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_make_of_a_camera_is_set_up_or_refused_in_one_line(make: str) -> None:
+    habits, settings, text = MAKES[make]
+    with emulated("127.0.0.7", lambda t_s: IMAGE, (640, 480), habits=habits):
+        if not text:
+            assert len(taken(opened("127.0.0.7", **settings), 2)) == 2
+            return
+        with pytest.raises(DeviceError, match=re.escape(f"vmu.left: {text}")):
+            opened("127.0.0.7", **settings)
+
+
+def test_time_stamp_that_is_always_zero_is_none() -> None:
+    with emulated("127.0.0.8", lambda t_s: IMAGE, (640, 480), habits=made(stamps=False)):
+        assert all(math.isnan(frame.stamp_s) for frame in taken(opened("127.0.0.8"), 3))

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from hil.config.load import configs_folder, load_protocol
+from hil.core.messages import Homing
 from hil.drivers.turntable.ascii.protocol import AsciiProtocol, FieldFormat
 from hil.errors import BadInput, DriveFault, ProtocolError
-from tests.support.turntable_bench import PARK_DEG, error_of, served
+from tests.support.turntable_bench import PARK_DEG, error_of, eventually, served
 
 ACU = (configs_folder() / "protocols" / "acu.toml").read_text()
 WORDS = """
@@ -132,4 +133,40 @@ def test_words_without_an_enabled_state_are_refused(tmp_path) -> None:
     path = Path(in_words(tmp_path))
     path.write_text(path.read_text().replace('"enabled", ', ""))
     with pytest.raises(BadInput, match="status_words: no word means enabled"):
+        load_protocol(str(path))
+
+
+@pytest.mark.parametrize("address", [None, "tcp://127.0.0.1:0"], ids=["serial", "TCP"])
+@pytest.mark.parametrize("encoder", ["absolute", "incremental"])
+def test_ensemble_homes_follows_and_stops(encoder: str, address: str | None) -> None:
+    keys = {"encoder": encoder} | ({"home_deg": 1.0, "homing_rate_degps": 15.0} if encoder == "incremental" else {})
+    with served("ensemble", listen=address, **keys) as (emulator, device, clock):
+        if encoder == "incremental":
+            device.home(clock.now_s())
+            eventually(clock, lambda: set(device.read(clock.now_s()).homing) == {Homing.DONE})
+        goal = np.radians((1.0, -2.0, 3.0))
+        end_s = clock.now_s() + 3.0
+        while clock.now_s() < end_s:
+            device.send(goal, np.zeros(3), clock.now_s())
+            clock.sleep(0.05)
+        assert device.read(clock.now_s()).position == pytest.approx(goal, abs=1e-3)
+        assert device.counters()["protocol_errors"] == device.counters()["lost"] == 0
+        device.send(-3.0 * goal, np.zeros(3), clock.now_s())
+        clock.sleep(0.2)
+        device.stop(clock.now_s())
+        eventually(clock, lambda: not any(emulator.gimbals.moving(axis) for axis in range(3)))
+
+
+def test_fault_of_an_ensemble_is_named_by_its_flags() -> None:
+    with served("ensemble") as (emulator, device, clock):
+        emulator.faults.on("drive_fault", "pitch", 12.0)
+        with pytest.raises(DriveFault, match=r"turntable\.pitch: limit of clockwise travel, limit of counter"):
+            raise error_of(device, clock)
+
+
+def test_status_without_a_fault_needs_the_fault_number(tmp_path) -> None:
+    text = (configs_folder() / "protocols" / "aerotech-ensemble.toml").read_text()
+    path = tmp_path / "table.toml"
+    path.write_text(text.replace('    { send = "AXISFAULT(@{axis})", reply = "fault", each_axis = true },\n', ""))
+    with pytest.raises(BadInput, match=r"status\.fault: is missing, and no reply to requests\.status has the fault"):
         load_protocol(str(path))

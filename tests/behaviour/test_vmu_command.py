@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from pathlib import Path
 
 import cv2
@@ -102,6 +103,25 @@ def test_one_camera_that_is_lost_or_black_still_gives_poses(folder: Path) -> Non
     for k, row in enumerate(rows):
         assert row["status"] == "ok"
         check_pose(row, truth(k))
+
+
+def test_repeated_images_are_no_new_measurement(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A repeated pair is refused, a repeated image of one camera is left out; black images are named."""
+    for number, sides in ((1, ("left", "right")), (2, ("left", "right")), (4, ("right",))):
+        for side in sides:
+            shutil.copy(folder / side / f"{number - 1:04d}.png", folder / side / f"{number:04d}.png")
+    cv2.imwrite(str(folder / "left" / "0005.png"), np.zeros((1024, 1024), np.uint8))
+    _, rows = solve(folder)
+    assert [row["status"] for row in rows] == ["ok", "rejected_frozen", "rejected_frozen", "ok", "ok", "ok"]
+    assert [row["doubt"] for row in rows[1:]] == [
+        *["left image equal to the one before, right image equal to the one before"] * 2, "",
+        "right image equal to the one before", "left image black",
+    ]  # fmt: skip
+    for k in (0, 3, 4, 5):
+        check_pose(rows[k], truth(k))
+    for text in ("left images that are equal to the one before: 2", "right images that are equal to the one before: 3",
+                 "left images that are black: 1"):  # fmt: skip
+        assert text in caplog.text
 
 
 def test_frames_without_images_are_predicted_along_a_track(folder: Path) -> None:

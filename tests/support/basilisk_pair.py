@@ -12,6 +12,7 @@ from Basilisk.simulation import gravityEffector, spacecraft, svIntegrators
 from Basilisk.utilities import SimulationBaseClass, macros
 
 from hil.config.scenario import Scenario
+from hil.dynamics.gravity_file import GravityField
 from hil.params import dynamics as dynamics_params
 
 MASS_KG = 1000.0
@@ -19,16 +20,20 @@ bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # a Moon that does not turn
 
 
 def write_field(scenario: Scenario, path: Path) -> Path:
-    """Write our coefficients as the file that Basilisk's loader wants: SI, degree 0 included."""
-    field = dynamics_params.gravity(scenario)
+    """Write our coefficients as the file that Basilisk's loader wants."""
+    path.write_text(field_text(dynamics_params.gravity(scenario)), encoding="ascii")
+    return path
+
+
+def field_text(field: GravityField) -> str:
+    """Return ``field`` as Basilisk's loader wants it: SI, degree 0 included."""
     lines = [f"{field.radius!r}, {field.gm!r}, 0, {field.degree}, {field.degree}, 1, 0, 0"]
     lines += [
         f"{n}, {m}, {1.0 if n == 0 else float(field.c[n, m])!r}, {float(field.s[n, m])!r}, 0, 0"
         for n in range(field.degree + 1)
         for m in range(n + 1)
     ]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-    return path
+    return "\n".join(lines) + "\n"
 
 
 def _degree(field_file: Path) -> int:

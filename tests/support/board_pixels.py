@@ -5,8 +5,8 @@ It shares no mathematics with ``hil.vmu``: its own pinhole, its own rotations.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from tests.support.vmu_pixels import Array, Image
@@ -23,16 +23,16 @@ def board_image(
     The principal point is the image's middle; white is 190, black 25 and the surroundings 60 grey levels; blur 0.8 px.
     """
     rows, columns = shape
-    offset = (np.arange(FINE) + 0.5) / FINE - 0.5
-    u = (np.arange(columns)[:, None] + offset).ravel() - 0.5 * (columns - 1)
-    v = (np.arange(rows)[:, None] + offset).ravel() - 0.5 * (rows - 1)
     back = Rotation.from_rotvec(turn).inv()
-    origin = back.apply(-t_m)
-    directions = back.apply(np.stack(np.broadcast_arrays(u[None, :], v[:, None], focal_px), axis=-1).reshape(-1, 3))
-    met = origin - directions * (origin[2] / directions[:, 2])[:, None]
-    at = np.floor((met[:, :2] / size_m + 0.5) * picture.shape[::-1]).astype(int)
-    inside = (at >= 0).all(axis=1) & (at < picture.shape[::-1]).all(axis=1)
-    levels = np.full(len(at), 60.0)
-    levels[inside] = 25.0 + 165.0 * picture[at[inside, 1], at[inside, 0]] / 255.0
-    light = gaussian_filter(levels.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3)), 0.8)
-    return np.asarray(np.clip(np.rint(light + 1.2 * rng.standard_normal(shape)), 0, 255).astype(np.uint8))
+    origin, axes = back.apply(-t_m), back.as_matrix()
+    first = 0.5 / FINE - 0.5 - 0.5 * np.array([columns - 1, rows - 1])
+    ray = axes @ np.array([[1.0 / FINE, 0.0, first[0]], [0.0, 1.0 / FINE, first[1]], [0.0, 0.0, focal_px]])
+    on_plane = (origin[:2, None] * ray[2] - origin[2] * ray[:2]) / np.array(size_m)[:, None] + 0.5 * ray[2]
+    to_picture = np.vstack([on_plane * np.array(picture.shape[::-1])[:, None] - 0.5 * ray[2], ray[2]])
+    fine = cv2.warpPerspective(
+        25.0 + 165.0 / 255.0 * picture.astype(np.float32), to_picture, (FINE * columns, FINE * rows),
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=60.0,
+    )  # fmt: skip
+    light = cv2.GaussianBlur(cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA), (0, 0), 0.8)
+    noise = 1.2 * rng.standard_normal(shape, dtype=np.float32)
+    return np.asarray(np.clip(np.rint(light + noise), 0, 255).astype(np.uint8))

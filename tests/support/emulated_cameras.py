@@ -9,10 +9,11 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from hil.config.tables.cameras import CameraHabits
 from hil.core.clock import WallClock
 from hil.drivers.cameras.libaravis import aravis
 from hil.errors import DeviceError, LinkLost
-from hil.parts.emulation.cameras import CameraEmulator
+from hil.parts.emulation.cameras import OBLIGING, CameraEmulator
 
 LEFT, RIGHT = "127.0.0.2", "127.0.0.3"
 
@@ -31,10 +32,11 @@ def emulated(
     image_at: Callable[[float], np.ndarray],
     sensor: tuple[int, int] = (2048, 2048),
     exposure_s: float | None = None,
+    habits: CameraHabits = OBLIGING,
 ) -> Iterator[CameraEmulator]:
     """Serve a camera; skip the test if none can be served."""
     require_libaravis()
-    camera = CameraEmulator(f"camera.{address[-1]}", address, WallClock(), image_at, sensor, exposure_s)
+    camera = CameraEmulator(f"camera.{address[-1]}", address, WallClock(), image_at, sensor, exposure_s, habits)
     stop = threading.Event()
     try:
         camera.start()

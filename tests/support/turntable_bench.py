@@ -15,14 +15,17 @@ from hil.parts.emulation.cia402 import Cia402Emulator
 from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.lock_step import GRID_S, in_lock_step, serving
 
-DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}
+DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable, "ensemble": AsciiTurntable}
 EMULATORS = {"cia402": Cia402Emulator, "ascii": AsciiTurntableEmulator, "acu": AsciiTurntableEmulator}
+EMULATORS["ensemble"] = AsciiTurntableEmulator
 PARK_DEG = (3.0, -2.0, 0.5)
 PATIENCE_S = 20.0
 
 
-def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, protocol=None, **of_axes):
-    shipped = "acu" if driver == "acu" else "hil-ascii"
+def turntable(
+    driver, address=None, interface="serial", timeout_s=0.4, cia402=None, protocol=None, line=None, **of_axes
+):
+    shipped = {"acu": "acu", "ensemble": "aerotech-ensemble"}.get(driver, "hil-ascii")
     axes = [
         GimbalAxis(
             travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes
@@ -37,7 +40,7 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=No
         pitch=axes[1],
         yaw=axes[2],
         cia402=Cia402(interface=interface, channel=address, **(cia402 or {})),
-        ascii=AsciiTurntableLine(port=address, protocol=protocol or shipped),
+        ascii=AsciiTurntableLine(port=address, protocol=protocol or shipped, **(line or {})),
     )
 
 

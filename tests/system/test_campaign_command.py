@@ -270,44 +270,54 @@ def test_folder_of_another_scenario_is_refused(alone: Path, capsys: pytest.Captu
 
 
 @pytest.mark.slow
-def test_dask_cluster_gives_the_same_cases_also_when_a_worker_is_killed(alone: Path, tmp_path: Path) -> None:
-    from distributed import LocalCluster
+@pytest.mark.timeout(900)
+def test_cluster_gives_the_same_cases_also_when_its_worker_is_lost_at_half(
+    alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another worker takes over, whenever it comes."""
+    port, put = free_port(), Store.put
+    with cluster_of_processes(port) as (_, worker):
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        fly(tmp_path / "calm", "--scheduler", cluster.scheduler_address)
-        assert_same(alone, tmp_path / "calm")
-        campaign = CampaignJob(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
-        store = campaign.store(tmp_path / "killed")
-        engine = engines.DaskEngine(cluster.scheduler_address)
-        seen = []
+        def put_and_strike(store: Store, first: int, rows: list[dict[str, Any]]) -> None:
+            put(store, first, rows)
+            if worker.poll() is None:
+                worker.kill()
+                worker.wait()
+                others.enter_context(member(worker_of(port)))
 
-        def kill_one(now: object) -> None:
-            if not seen:
-                os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-            seen.append(now)
+        with ExitStack() as others:
+            monkeypatch.setattr(Store, "put", put_and_strike)
+            fly(tmp_path / "lost", "--scheduler", f"tcp://127.0.0.1:{port}")
+    assert worker.poll() == -signal.SIGKILL
+    assert_same(alone, tmp_path / "lost")
 
-        campaign.run(store, 120, engine, kill_one)
-        engine.close()
-    assert_same(alone, tmp_path / "killed")
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+def worker_of(port: int) -> list[str]:
+    return ["worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
 
 
 @contextmanager
-def cluster_of_processes(port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """Yield the scheduler of a cluster with one worker; both end with the block."""
-    address = f"tcp://127.0.0.1:{port}"
-    commands = (
-        ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
-        ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
-    )
-    dask = [sys.executable, "-m", "dask"]
+def member(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Yield a process of a cluster, which ends with the block."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with ExitStack() as stack:
-        members = [stack.enter_context(subprocess.Popen([*dask, *command], **quiet)) for command in commands]
+    with subprocess.Popen([sys.executable, "-m", "dask", *command], **quiet) as process:  # type: ignore[call-overload]
         try:
-            yield members[0]
+            yield process
         finally:
-            for member in members:
-                member.kill()
+            process.kill()
+
+
+@contextmanager
+def cluster_of_processes(port: int) -> Iterator[tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]]:
+    """Yield scheduler and worker of a cluster; both end with the block."""
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    with member(scheduler) as first, member(worker_of(port)) as second:
+        yield first, second
 
 
 @pytest.mark.slow
@@ -324,11 +334,10 @@ def test_lost_scheduler_is_one_line_and_the_campaign_continues_with_another(
     monkeypatch.setattr(engines, "_SILENT_S", 2.0)
     monkeypatch.setattr(engines, "_ASK_EVERY_S", 0.5)
     fly(tmp_path / "calm", runs=300)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     command = ["campaign", "scheme-1", "--runs", "300", *SHORT, "--scheduler", f"tcp://127.0.0.1:{port}"]
     command += ["--out", str(tmp_path / "lost")]
-    with cluster_of_processes(port) as scheduler:
+    with cluster_of_processes(port) as (scheduler, _):
         put, parts = Store.put, []
 
         def put_and_strike(store: Store, first: int, rows: list[dict[str, Any]]) -> None:

@@ -11,11 +11,14 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hil.api.runs import run
 from hil.cli.main import execute
+from hil.config.load import load_geometry, load_rig
 from hil.parts.campaigns.cli import ci as command
+from hil.vmu.geometry import nominal_geometry
 from tests.support.pytest_runs import pytest_run
 from tests.support.run_settings import without_figures
 
@@ -45,6 +48,11 @@ def test_repository_has_its_files_and_its_mock_campaign_passes(lab: Path) -> Non
     names = {path.relative_to(lab).as_posix() for path in lab.rglob("*") if path.is_file()}
     assert {".github/workflows/bench.yml", ".gitlab-ci.yml", ".pre-commit-config.yaml", "Containerfile"} <= names
     assert {"gnc/law.py", "gnc/observer.c", "rigs/lab.toml", "scenarios/approach.toml"} <= names
+    geometry = load_geometry(str(lab / "cameras" / "vmu.toml")).value
+    nominal = nominal_geometry(load_rig("mock").value.vmu)
+    assert geometry.print == "official"
+    np.testing.assert_allclose(geometry.leds_m, nominal.leds_m, atol=1e-15)
+    assert (geometry.left, geometry.right, geometry.baseline_m) == (nominal.left, nominal.right, nominal.baseline_m)
     assert "HIL_VERSION" not in (lab / "requirements.txt").read_text()
     done = pytest_run(lab, "--rig", "mock")
     assert done.returncode == 0, done.stdout

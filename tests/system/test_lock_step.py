@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +25,10 @@ from sims.fault_matrix import TIGHT, FaultCase, FaultReaction, run_case
 from tests.support.run_settings import HARDWARE_WIRES, NEAR, make_job
 
 LOCK_STEP = {"rig.host.time": "lock_step"}
-RIGS = {
+TRACKER = {"rig.tracker.driver": "text", "rig.tracker.chaser.body": 1, "rig.tracker.frame.position_m": [1.0, 0.5, 0.2]}
+RIGS: dict[str, dict[str, Any]] = {
     "emulated": {},
-    "emulated-rtu": {"rig.turntable.driver": "ascii", "sensors.s.kind": "range_finder"},  # the other wires
+    "emulated-rtu": {"rig.turntable.driver": "ascii", "sensors.s.kind": "range_finder", **TRACKER},  # the other wires
 }
 
 
@@ -42,21 +44,29 @@ def load(processes: int) -> Iterator[None]:
             each.wait()
 
 
-def rows_of(rig: str, seconds: float, seed: int = 1) -> np.ndarray:
-    """Return the rows of a run in lock-step."""
+def run_of(rig: str, seconds: float, seed: int = 1) -> hil.Run:
+    """Return a run in lock-step."""
     run = hil.run("scheme-1", rig, seed, seconds, LOCK_STEP | RIGS[rig])
     assert run.stop == "completed"
-    return run.history
+    return run
 
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_same_seed_gives_the_same_bits_on_a_busy_computer(rig: str) -> None:
-    quiet = rows_of(rig, 0.5)
+    quiet = run_of(rig, 0.5)
     with load(os.cpu_count() or 1):
-        busy = rows_of(rig, 0.5)
-    assert quiet.dtype == CYCLE
-    assert quiet.tobytes() == busy.tobytes()
-    assert np.isnan(quiet["lateness_s"]).all()
+        busy = run_of(rig, 0.5)
+    assert quiet.history.dtype == CYCLE
+    assert quiet.history.tobytes() == busy.history.tobytes()
+    assert np.isnan(quiet.history["lateness_s"]).all()
+    assert quiet.summary.get("bench_truth") == busy.summary.get("bench_truth")
+
+
+def test_mounting_that_is_off_is_refused_before_motion() -> None:
+    off = {"rig.bench.errors.reference_m": [0.0, 0.015, 0.0]}
+    run = hil.run("scheme-1", "emulated", 1, 1.0, LOCK_STEP | TRACKER | off)
+    assert run.stop.startswith("tracker: bench against tracker off by 0.01")
+    assert not len(run.history)
 
 
 def test_faults_of_wires_strike_at_the_same_time_each_time() -> None:

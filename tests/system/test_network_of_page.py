@@ -90,7 +90,7 @@ def course(page: ChromiumPage, watcher: Page, relay: Relay, dice: random.Random,
         if was_in == "standby" and moved_m > STILL_M:
             seen.late_motion.append(f"{name}: {1e3 * moved_m:.2f} mm")
             break
-        if watcher.now["mode"] not in (was_in, "standby"):
+        if watcher.now["mode"] not in (was_in, "standby", "safe-stop"):
             seen.late_orders.append(f"{name}: {watcher.now['mode']}")
             break
     relay.heal()

@@ -54,6 +54,11 @@ def test_a_key_shows_type_unit_range_and_default() -> None:
     assert rows["travel_m"][1:3] == ("number[2]", "m")
 
 
+def test_generated_pages_are_those_of_the_code() -> None:
+    differ = [name for name, text in generate.pages().items() if (ROOT / "docs" / name).read_text() != text]
+    assert differ == [], "python -m docs.generate writes them"
+
+
 def test_page_of_the_command_line_has_every_command_and_the_others_have_rows() -> None:
     page, *others = generate.pages().values()
     assert all(re.search(r"\n\| (`|0 \||H-)|\n```toml\n", other) for other in others)

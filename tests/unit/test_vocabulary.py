@@ -4,18 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from docs import generate
 from tests.support import vocabulary
 
 
 @pytest.mark.parametrize("path", vocabulary.ALL)
 def test_texts_use_the_terms_of_the_field(path: str) -> None:
     assert not [str(finding) for finding in vocabulary.findings([vocabulary.ROOT / path])]
-
-
-def test_generated_pages_use_the_terms_of_the_field(tmp_path: Path) -> None:
-    generate.write(tmp_path)
-    assert not [str(finding) for finding in vocabulary.findings([tmp_path])]
 
 
 @pytest.mark.parametrize(

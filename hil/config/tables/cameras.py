@@ -12,6 +12,17 @@ CameraInterface = Literal["genicam", "gentl", "v4l2"]
 PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
 
 
+class CameraHabits(ConfigModel):
+    """Habits of emulated cameras."""
+
+    gain_unit: str | None = None
+    """Unit of the feature `Gain`; unset: the camera has `GainRaw` alone, a whole number."""
+    trigger_selector: str = "FrameStart"
+    """Name of the selector that comes first."""
+    stamps: bool = True
+    """false: the time stamp of each frame is 0."""
+
+
 class CameraSettings(ConfigModel):
     """Interface, trigger and exposure of a camera."""
 
@@ -40,6 +51,8 @@ class CameraSettings(ConfigModel):
     """Grey level of the brightest hundredth of the image, to which the exposure time is controlled; unless set, not."""
     exposure_max_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     """Longest exposure time of that control."""
+    emulated: CameraHabits = CameraHabits()
+    """Habits of the emulated cameras."""
 
 
 class VisionCameras(CameraSettings):

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.tables.model import ConfigModel
+from hil.config.tables.model import ConfigModel, Delay
 from hil.config.tables.rail_map import RailMap, span
 
 DeviceId = Annotated[int, Field(ge=1, le=247)]
@@ -25,6 +25,8 @@ class ModbusRtu(ConfigModel):
     """Parity."""
     stopbits: Literal[1, 2] = 1
     """Stop bits."""
+    adapter_latency_s: Delay = 0.0
+    """Time for which a USB adapter collects bytes."""
     device_ids: Annotated[tuple[DeviceId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Modbus device ids of x, y, z; of further axes also of u, v, w."""
 
@@ -44,7 +46,7 @@ class ModbusRtu(ConfigModel):
         written, read = len(span(blocks["command"].values())), len(span(blocks["state"].values()))
         transactions = [*[6] * written, 3] if register_map.functions[0] == 6 else register_map.functions
         size = sum(_BYTES[function] for function in transactions) + 2 * (written + read)
-        return size * self.bits_per_byte / self.baud + 2.0 * len(transactions) * self.gap_s
+        return size * self.bits_per_byte / self.baud + len(transactions) * (2.0 * self.gap_s + self.adapter_latency_s)
 
     @model_validator(mode="after")
     def _devices_differ(self) -> Self:

@@ -72,6 +72,8 @@ class Ephemeris(ConfigModel):
     """Standard deviations of the rate of H beyond that of the orbit, in H; harmonics of the Moon: 0, 1.3e-6, 9e-6."""
     along_track_error_m: float = 0.0
     """Error of the position along the orbit at the start, in addition."""
+    gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 0
+    """Highest degree of the body's field by which it is propagated before the run; 0: point mass."""
 
 
 DampingRatio = Annotated[float, Field(ge=0.0, lt=1.0)]

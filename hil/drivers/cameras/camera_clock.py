@@ -35,8 +35,7 @@ class CameraClock:
         stamp_s: nan for an incomplete frame, whose stamp may be another one's. triggers_s: bench times of recent
         software triggers, ascending.
         """
-        before_s, self._arrived_s = self._arrived_s, arrived_s
-        bound_s = _certain_trigger(triggers_s, before_s, arrived_s) if self._triggered else arrived_s
+        bound_s = self._bound_s(arrived_s, triggers_s)
         if math.isnan(stamp_s) or bound_s is None:
             return
         offset = bound_s - stamp_s
@@ -44,6 +43,16 @@ class CameraClock:
             self._offsets.clear()
             self.jumps += 1
         self._offsets.append(offset)
+
+    def unstamped_s(self, arrived_s: float, triggers_s: Sequence[float] = ()) -> float:
+        """Return the bench time of the exposure of a frame without a time stamp; nan if its trigger is not certain."""
+        bound_s = self._bound_s(arrived_s, triggers_s)
+        return math.nan if bound_s is None else bound_s + self._latency_s
+
+    def _bound_s(self, arrived_s: float, triggers_s: Sequence[float]) -> float | None:
+        """Return the time of a frame's trigger, None if that is not certain; without triggers the time of arrival."""
+        before_s, self._arrived_s = self._arrived_s, arrived_s
+        return _certain_trigger(triggers_s, before_s, arrived_s) if self._triggered else arrived_s
 
     def exposed_s(self, stamp_s: float) -> float:
         """Return the bench time of the exposure with the camera's time ``stamp_s``; nan before enough frames."""

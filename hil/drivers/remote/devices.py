@@ -175,6 +175,14 @@ class RemoteAxes(_RemoteDevice):
         self._check(now_s)
         self._link.requests.request("home", self.name)
 
+    def limit_torque(self, axis: int, reduced: bool) -> None:
+        """Let the I/O process start to reduce the torque limit of ``axis``, or to restore it. Raises DeviceError."""
+        self._link.requests.request("torque", self.name, axis=axis, reduced=reduced)
+
+    def torque_limit(self, axis: int) -> str:
+        """Return what became of that, "" before it is done. Raises DeviceError."""
+        return str(self._link.requests.request("torque", self.name, axis=axis).get("torque", ""))
+
     def set_limits(self, rate: Array, acceleration: Array) -> None:
         """Set the limits (n,) within which the axes catch up after a gap in the setpoints."""
         self._setpoint["rate_max"], self._setpoint["acceleration_max"] = rate, acceleration

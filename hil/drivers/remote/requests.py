@@ -1,4 +1,4 @@
-"""Requests that take longer than a cycle: open, home, close. One JSON line each way over a socket pair."""
+"""Requests outside of the cycle: open, home, torque, close. One JSON line each way over a socket pair."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class IoRequests:
         self._line = RequestLine(end, clock, name, 1)
         self._lock = threading.Lock()
 
-    def request(self, do: str, device: str, within_s: float = ANSWER_WALL_S) -> dict[str, Any]:
-        """Return the answer, which may take ``within_s`` of wall time.
+    def request(self, do: str, device: str, within_s: float = ANSWER_WALL_S, **more: object) -> dict[str, Any]:
+        """Return the answer, which may take ``within_s`` of wall time; more: arguments of ``do``.
 
         Raises LinkLost if the process has ended, LinkTimeout if it does not answer; do not use the line after that.
         """
         try:
             with self._lock:
-                self._line.send({"do": do, "device": device})
+                self._line.send({"do": do, "device": device, **more})
                 answer = self._line.receive(within_s)
         except TimeoutError as silence:
             raise LinkTimeout(device, f"{self._process} did not {do} it within {within_s:g} s") from silence

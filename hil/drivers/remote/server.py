@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.clock import BenchClock, HostPauses, Order, WallClock, pause_text
 from hil.core.plug_ins import call, is_of, plug_in_error
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
+from hil.drivers.base import NO_TORQUE_LIMIT, LimitsTorque
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.requests import RequestLine
@@ -178,23 +179,30 @@ class DeviceServer:
         """Answer requests one after the other, until the loop closes its end of the socket."""
         with contextlib.suppress(OSError, ValueError):  # the loop has ended
             while (request := self._requests.receive()) is not None:
-                self._requests.send(self._handle(request["do"], request["device"]))
+                self._requests.send(self._handle(**request))
         self._requests.close()
 
-    def _handle(self, do: str, name: str) -> dict[str, Any]:
-        device, now_s = self._devices[name], self.clock.now_s()
+    def _handle(self, do: str, device: str, axis: int = 0, reduced: bool | None = None) -> dict[str, Any]:
+        name, now_s = device, self.clock.now_s()
+        served = self._devices[name]
         try:
             if do == "open":
                 self.served.discard(name)
-                call(name, device.open, now_s)
+                call(name, served.open, now_s)
                 self.on_opened(name)
                 self.served.add(name)
             elif do == "close":
                 self.served.discard(name)
                 self._write_counters(name, now_s)
-                call(name, device.close)
+                call(name, served.close)
             elif do == "home":
-                call(name, device.home, now_s)  # type: ignore[attr-defined]
+                call(name, served.home, now_s)  # type: ignore[attr-defined]
+            elif do == "torque":
+                if not isinstance(served, LimitsTorque):
+                    return {"torque": NO_TORQUE_LIMIT}
+                if reduced is not None:
+                    call(name, served.limit_torque, axis, reduced)
+                return {"torque": call(name, served.torque_limit, axis)}
         except BenchError as error:
             record = io_layout.failure_record(error, name)
             return {"failure": [field.decode(errors="replace") for field in record[0]]}

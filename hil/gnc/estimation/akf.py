@@ -107,9 +107,9 @@ def predict_state(params, state, measured_rate, hill, phi):
         hill_rotation[i] = 0.0
         rotation[i] = (measured_rate[i] - state.x[4 + i]) * dt
     hill_rotation[1] = hill.turn  # minus the rotation of H, about -y
-    if hill.rotates != 0:
+    if hill.swings != 0:
         for i in range(3):
-            hill_rotation[i] = -hill.rotation[i]
+            hill_rotation[i] -= hill.rotation[i]
     quat.from_rotation_vector_into(rotation, of_c)
     quat.from_rotation_vector_into(hill_rotation, of_h)
     quat.multiply_into(state.x[0:4], of_h, moved)
@@ -122,7 +122,7 @@ def predict_state(params, state, measured_rate, hill, phi):
     quat.second_column_into(q, along_y)
     for i in range(3):
         state.w_CH_C[i] = (measured_rate[i] - state.x[4 + i]) + along_y[i] * hill.rate
-    if hill.rotates != 0:
+    if hill.swings != 0:
         quat.transform_into(q, hill.rate_after, along_y)
         for i in range(3):
             state.w_CH_C[i] -= along_y[i]

@@ -129,12 +129,12 @@ class ShadowFilter:
         assert self._attitude is not None
         assert self._position is not None
         ekf, kf, dt = self._attitude, self._position, self._dt
-        w0 = float(hill["turn"]) / dt
+        of_hill = np.array([0.0, -hill["turn"], hill["rotation"][2] if hill["swings"] else 0.0]) / dt
         attitude = ekf.x[:4].copy()
-        # eq. (3): dQ/dt = Omega(w) Q / 2, the rate [0, -w0, 0] of H on the other side
+        # eq. (3): dQ/dt = Omega(w) Q / 2, the rate of H on the other side
         rate = inputs.rate_C - ekf.x[4:]
         process = np.zeros((7, 7))
-        process[:4, :4] = 0.5 * (_omega(rate) + w0 * _HILL_RATE)
+        process[:4, :4] = 0.5 * (_omega(rate) + _HANDED * _omega(of_hill))
         process[:4, 4:] = -0.5 * _xi(attitude)
         transition = _exponential(process * dt)
         q = _exponential(process[:4, :4] * dt) @ attitude
@@ -185,7 +185,8 @@ class ShadowFilter:
         return Divergence(float(position), float((mine.inv() * theirs).magnitude()))
 
 
-_HILL_RATE = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=float)
+_HANDED = np.outer([1.0, 1.0, 1.0, -1.0], [1.0, 1.0, 1.0, -1.0])
+"""Signs that make ``_omega(w) q``, ``q`` times w, minus w times ``q``."""
 
 
 def _exponential(m: Array) -> Array:

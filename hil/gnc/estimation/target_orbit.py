@@ -8,8 +8,10 @@ On an ellipse the frame's rate ``w = d(nu)/dt`` and ``k = GM / r^3`` vary with t
     z'' = -2 w x' - w' x + (w^2 + 2 k) z
 
 (Yamanaka and Ankersen 2002, eq. (9), in the axes of H). The filters apply the exact transition of Hill's equations at
-the mean motion n, and add the difference of the two accelerations. H of a target that tumbles is its body frame: see
-``hil.gnc.estimation.body_frame``.
+the mean motion n, and add the difference of the two accelerations. With harmonics w, k and the rate of H about z are
+interpolated from a table that is computed before the run (``hil.models.ephemeris``); what the rate about z and the
+gradient of the harmonics do to the relative motion, below 1e-2 n^2 r, is not modelled. H of a target that tumbles is
+its body frame: see ``hil.gnc.estimation.body_frame``.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from hil.core.jit import kernel
 from hil.maths import elementary, quat, stack
 from hil.maths.arrays import fill
 from hil.maths.kepler import true_anomaly
+from hil.models.ephemeris import EPHEMERIS, attitude_of_ephemeris, frame_of_ephemeris
 from hil.models.rotating_frame import TUMBLE, tumble_rate
 
 TARGET_ORBIT = np.dtype(
@@ -33,6 +36,7 @@ TARGET_ORBIT = np.dtype(
         ("estimated", "i8"),  # 1: the filters estimate the rate of a tumble, by Euler's equations
         ("moments", "f8", 3),  # kg m^2, principal, of the body as they are known
         ("q_PB", "f8", 4),  # from its body axes to the principal ones
+        ("ephemeris", EPHEMERIS),
     ],
     align=True,
 )
@@ -48,8 +52,9 @@ HILL_STEP = np.dtype(
         ("along", "f8"),  # 1/s^2, w^2 - k
         ("across", "f8"),  # 1/s^2, -k
         ("down", "f8"),  # 1/s^2, w^2 + 2 k
-        # of a target that tumbles, in its axes
-        ("rotates", "i8"),
+        # of a target that tumbles, in its axes, or of H with harmonics, beyond that about -y
+        ("rotates", "i8"),  # 1: of a target that tumbles
+        ("swings", "i8"),  # 1: there are rotation and rate_after
         ("rotation", "f8", 3),  # rad, over the step
         ("rate_before", "f8", 3),  # rad/s, at its start
         ("rate_after", "f8", 3),  # at its end
@@ -74,6 +79,10 @@ def frame_rate(orbit, t_s, out):
         aside = stack.vector(3)
         tumble_rate(orbit.tumble, t_s, out, aside)
         return
+    if orbit.ephemeris.n != 0:
+        frame_of_ephemeris(orbit.ephemeris, t_s, out)
+        out[0], out[1], out[2] = 0.0, -out[0], out[1]
+        return
     e, rate = orbit.eccentricity, orbit.mean_motion
     if e != 0.0:
         rate = _rate(orbit, true_anomaly(e, orbit.mean_anomaly + orbit.mean_motion * t_s))
@@ -84,6 +93,9 @@ def frame_rate(orbit, t_s, out):
 def frame_attitude(orbit, q_start, t_s, q_HI):
     """Write ``q_HI`` (4,) at ``t_s`` of the run, from that at its start; nan for a target that tumbles."""
     turn, rotation = stack.vector(3), stack.vector(4)
+    if orbit.ephemeris.n != 0:
+        attitude_of_ephemeris(orbit.ephemeris, t_s, q_HI)
+        return
     e, first = orbit.eccentricity, orbit.mean_anomaly
     turn[0] = turn[2] = 0.0
     turn[1] = -orbit.mean_motion * t_s
@@ -96,12 +108,37 @@ def frame_attitude(orbit, q_start, t_s, q_HI):
 
 
 @kernel
+def _follow_ephemeris(orbit, start_s, dt, out):
+    """Write the motion of H with harmonics."""
+    middle, last, n = stack.vector(3), stack.vector(3), orbit.mean_motion
+    frame_of_ephemeris(orbit.ephemeris, start_s + 0.5 * dt, middle)
+    frame_of_ephemeris(orbit.ephemeris, start_s + dt, last)
+    out.swings, out.is_elliptic = 1, 1
+    out.turn, out.rate = middle[0] * dt, last[0]
+    fill(out.rotation, 0.0)
+    fill(out.rate_after, 0.0)
+    out.rotation[2], out.rate_after[2] = middle[1] * dt, last[1]
+    out.euler = (last[0] - middle[0]) / (0.5 * dt)
+    _beyond_circle(n, middle[0], middle[2], out)
+
+
+@kernel
+def _beyond_circle(n, w, k, out):
+    """Write the accelerations beyond those on a circle at the mean motion ``n``."""
+    out.coriolis = 2.0 * (w - n)
+    out.along, out.across, out.down = w * w - k, n * n - k, w * w + 2.0 * k - 3.0 * n * n
+
+
+@kernel
 def move_hill_frame(orbit, start_s, dt, out):
     """Write the motion of H (HILL_STEP) over the step of ``dt`` that starts at ``start_s`` of the run."""
     n = orbit.mean_motion
-    out.rotates = orbit.tumble.rotates
+    out.rotates = out.swings = orbit.tumble.rotates
     if out.rotates != 0:
         _tumble(orbit.tumble, start_s, dt, out)
+        return
+    if orbit.ephemeris.n != 0:
+        _follow_ephemeris(orbit, start_s, dt, out)
         return
     if orbit.eccentricity == 0.0:
         out.turn, out.rate, out.is_elliptic = n * dt, n, 0
@@ -113,9 +150,8 @@ def move_hill_frame(orbit, start_s, dt, out):
     rho = 1.0 + e * elementary.cos(nu)
     k = n * n * (rho / (1.0 - e * e)) ** 3
     out.turn, out.rate, out.is_elliptic = nu_last - nu_first, _rate(orbit, nu_last), 1
-    out.coriolis = 2.0 * (w - n)
     out.euler = -2.0 * e * elementary.sin(nu) * w * w / rho
-    out.along, out.across, out.down = w * w - k, n * n - k, w * w + 2.0 * k - 3.0 * n * n
+    _beyond_circle(n, w, k, out)
 
 
 @kernel

@@ -5,13 +5,13 @@ from __future__ import annotations
 from hil.config.load import load_geometry
 from hil.config.rig import Rig, Vmu
 from hil.config.scenario import Scenario
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.vmu_geometry import OFFICIAL, VmuGeometry
 from hil.core.camera_images import GEOMETRY_FILE, ImageSink
 from hil.maths.random_streams import stream
 from hil.params import bench as bench_params
 from hil.parts.cameras.rendered import RenderedCameras, RenderedPoseSensor
 from hil.sensors.vision_unit import parameters as vmu_params
-from hil.vmu.estimators import DRAWN, PoseEstimator, board_of, make_estimator
+from hil.vmu.estimators import DRAWN, LED_RING, PoseEstimator, board_of, make_estimator
 from hil.vmu.geometry import geometry_of_rig, nominal_geometry
 
 
@@ -35,7 +35,8 @@ def calibrated_geometry(rig: Rig) -> VmuGeometry:
 
 def estimator_of_unit(vmu: Vmu) -> PoseEstimator:
     """Return the estimator that solves the images of the vision unit ``vmu``. Raises BadInput."""
-    return make_estimator(vmu.estimator, geometry_of_unit(vmu), vmu.estimator_settings)
+    source = vmu.geometry_file or "rig: vmu.geometry_file"
+    return make_estimator(vmu.estimator, geometry_of_unit(vmu), vmu.estimator_settings, source)
 
 
 def geometry_of_unit(vmu: Vmu) -> VmuGeometry:
@@ -43,8 +44,8 @@ def geometry_of_unit(vmu: Vmu) -> VmuGeometry:
     if vmu.geometry_file is not None:
         return load_geometry(vmu.geometry_file).value
     geometry = nominal_geometry(vmu)
-    is_drawn = vmu.driver != "cameras" and vmu.estimator in DRAWN
-    return geometry.model_copy(update={"print": DRAWN[vmu.estimator]}) if is_drawn else geometry
+    is_drawn = vmu.driver != "cameras" and vmu.estimator != LED_RING
+    return geometry.model_copy(update={"print": DRAWN.get(vmu.estimator, OFFICIAL)}) if is_drawn else geometry
 
 
 def attachments(scenario: Scenario, rig: Rig) -> dict[str, str]:

@@ -108,7 +108,8 @@ class CameraServer:
     def _exposed_s(self, frame: CameraFrame, arrived_s: float) -> float:
         speed = self._clock.speed
         if math.isnan(frame.stamp_s):
-            return arrived_s - self._settings.latency_s if frame.image is not None else math.nan
+            exposed_s = self._camera_clock.unstamped_s(arrived_s, tuple(self._triggers_s))
+            return exposed_s if frame.image is not None else math.nan
         if self._settings.clock == "system":
             return self._clock.now_s() - (time.time() - frame.stamp_s) * speed
         stamp_s = frame.stamp_s * speed

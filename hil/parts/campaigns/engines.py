@@ -48,7 +48,7 @@ _DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
 _DEAD: Final = (BrokenProcessPool, EOFError, ConnectionError)
 """Raised when a worker, or the process that starts them, has ended."""
 _CONNECT_S: Final = 10.0
-_ASK_EVERY_S: Final = 2.0  # a scheduler whose computer has lost power does not close the connection
+_ASK_EVERY_S: Final = 1.0  # a scheduler whose computer has lost power does not close the connection
 _SILENT_S: Final = 20.0
 _PROBE_S: Final = 10.0
 _IDLE_FIRST_S, _IDLE_EACH_S, _IDLE_LAST_S = 10.0, 60.0, 600.0  # without a worker: until the first line, each, the end
@@ -270,6 +270,7 @@ class DaskEngine:
         self._address = address
         self._program = program_digest.program()
         self._known: set[str] = set()
+        self._idle_since_s = math.inf
         for name in (
             "distributed",
             *logging.root.manager.loggerDict,
@@ -283,6 +284,13 @@ class DaskEngine:
         except (OSError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BadInput.single("--scheduler", "", f"{address}: cannot be reached: {reason}") from error
+        try:
+            self._check_workers()  # at once: what the caller prepares takes its time
+        except BaseException as error:
+            self.close()
+            if isinstance(error, OSError):
+                raise self._lost(error) from error
+            raise
 
     @property
     def workers(self) -> int:
@@ -306,7 +314,6 @@ class DaskEngine:
             future.add_done_callback(done.put)
 
         try:
-            self._check_workers()
             while True:
                 for batch in islice(remaining, max(0, _AHEAD * self.workers - len(of))):
                     submit(batch)
@@ -334,27 +341,26 @@ class DaskEngine:
                     else:
                         text = f"{type(error).__name__}: {one_line(str(error), _REASON)}"
                         raise CampaignStopped(f"scheduler {self._address}: its workers cannot run cases: {text}")
-        except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
-            lost = f"no answer for {_SILENT_S:g} s" if isinstance(error, TimeoutError) else "connection lost"
-            text = f"scheduler {self._address}: {lost}: completed cases are kept, start it and run the command again"
-            raise CampaignStopped(text) from error
+        except (CommClosedError, CancelledError, OSError) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: Exception) -> CampaignStopped:
+        lost = f"no answer for {_SILENT_S:g} s" if isinstance(error, TimeoutError) else "connection lost"
+        text = f"scheduler {self._address}: {lost}: completed cases are kept, start it and run the command again"
+        return CampaignStopped(text)
 
     def _next(self, done: SimpleQueue[Any]) -> Any:
         """Return the next future of ``done``; raise OSError if the scheduler does not answer meanwhile.
 
         Raises CampaignStopped if a worker has another program, or there has been none for _IDLE_LAST_S.
         """
-        idle_since_s: float | None = None
         said_s = -math.inf
         while self._client.scheduler is not None:
             with suppress(Empty):
                 return done.get(timeout=_ASK_EVERY_S)
+            self._check_workers()
             now_s = time.monotonic()
-            if self._check_workers():
-                idle_since_s, said_s = None, -math.inf
-                continue
-            idle_since_s = now_s if idle_since_s is None else idle_since_s
-            idle_s = now_s - idle_since_s + _ASK_EVERY_S
+            idle_s = now_s - self._idle_since_s
             if idle_s >= _IDLE_LAST_S:
                 text = f"no worker for {_IDLE_LAST_S:g} s: completed cases are kept, start workers and run it again"
                 raise CampaignStopped(f"scheduler {self._address}: {text}")
@@ -363,8 +369,8 @@ class DaskEngine:
                 log.warning("scheduler %s: no worker: the campaign waits, %g s at most", self._address, _IDLE_LAST_S)
         raise ConnectionError
 
-    def _check_workers(self) -> int:
-        """Return the number of workers; raise CampaignStopped if one that is new has another program.
+    def _check_workers(self) -> None:
+        """Raise CampaignStopped if a worker that is new has another program; note since when there is none.
 
         Raises OSError if the scheduler does not answer.
         """
@@ -373,6 +379,7 @@ class DaskEngine:
             raise ConnectionError
         present = set(self._client.sync(scheduler.identity, n_workers=-1, callback_timeout=_SILENT_S)["workers"])
         self._known &= present
+        self._idle_since_s = math.inf if present else min(self._idle_since_s, time.monotonic())
         if new := sorted(present - self._known):
             call = ("(exec(source), program())[1]", {"source": Path(program_digest.__file__).read_text("utf-8")})
             try:
@@ -380,12 +387,11 @@ class DaskEngine:
                     self._client._run, eval, *call, workers=new, on_error="ignore", callback_timeout=_PROBE_S
                 )
             except TimeoutError:
-                return len(present)  # busy ones: each batch is checked as well
+                return  # busy ones: each batch is checked as well
             for worker, program in answers.items():
                 if problem := _difference(program, self._program):
                     raise CampaignStopped(f"worker {worker} is refused: {problem}: completed cases are kept")
             self._known |= set(answers)
-        return len(present)
 
     def close(self) -> None:
         """Disconnect from the scheduler."""

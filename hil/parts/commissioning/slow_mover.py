@@ -11,6 +11,7 @@ import numpy as np
 from hil.core import alarm_table as table
 from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode
+from hil.drivers.base import LimitsTorque
 from hil.loop.bench_stage import Move
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
@@ -90,6 +91,16 @@ class SlowMover:
     def ask(self, question: str) -> bool:
         """Ask, and hold the axes until the answer arrives; Ctrl-C still works."""
         return ask_meanwhile(self._prompt, question, self._step)
+
+    def limit_torque(self, group: LimitsTorque, axis: int, reduced: bool) -> str:
+        """Reduce the torque limit of an axis of ``group``, or restore it, holding meanwhile; return the result."""
+        group.limit_torque(axis, reduced)
+        start_s = self._tick.now_s
+        while not (result := group.torque_limit(axis)):
+            if self._tick.now_s - start_s > _SETTLE_S:
+                return "its torque limit is not confirmed"
+            self._step()
+        return result
 
     def crawl(self, axis: int, target: Array) -> MoveResult:
         """Move at crawl speed; raise StepFailed as soon as ``axis`` (0..2 rails, 3..5 gimbals) does not follow."""

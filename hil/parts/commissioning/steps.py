@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,6 +13,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.core import alarm_table as table
 from hil.core.messages import AXES, Array, new
+from hil.drivers.base import NO_TORQUE_LIMIT, LimitsTorque
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 from hil.parts.commissioning.emergency_stop import Button, ChainTests, EmergencyStopTest
@@ -147,7 +149,8 @@ class Commissioning:
         self._title(f"{name}: sign and scale")
         start = mover.setpoints()
         distance = self._test_distance(axis, float(start[axis]))
-        self._first_move(mover, axis, math.copysign(1.0, distance))
+        with self._reduced_torque(mover, axis):
+            self._first_move(mover, axis, math.copysign(1.0, distance))
         target = start.copy()
         target[axis] += distance
         reading = self._measured(mover, axis)
@@ -164,6 +167,22 @@ class Commissioning:
         self._require_yes(mover, name, "sign and scale", question, "sign and scale of drive and rig file")
         back = mover.crawl(axis, start)
         return AxisFindings(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))
+
+    @contextmanager
+    def _reduced_torque(self, mover: SlowMover, axis: int) -> Iterator[None]:
+        """Reduce the torque limit of the axis, if its driver and drive can, and restore it afterwards."""
+        name = self._bench.axis_names[axis]
+        group: object = self._bench.rails if axis < 3 else self._bench.turntable
+        number = (self._rig.rails if axis < 3 else self._rig.turntable).axis_numbers.index(axis % 3)
+        if not isinstance(group, LimitsTorque):
+            self._prompt.show(f"{name}: {NO_TORQUE_LIMIT}")
+            yield
+            return
+        self._prompt.show(f"{name}: {mover.limit_torque(group, number, reduced=True)}")
+        try:
+            yield
+        finally:
+            self._prompt.show(f"{name}: {mover.limit_torque(group, number, reduced=False)}")
 
     def _first_move(self, mover: SlowMover, axis: int, direction: float) -> None:
         """Move so little that the axis stays within 1 mm or 0.1 deg also if its drive is wrong by a factor of 60.

@@ -33,7 +33,7 @@ from hil.core import alarm_table as table
 from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import HALTS, JogRequest, Operator, OperatorCommand
+from hil.core.operator_commands import HALTS, TOO_LATE, JogRequest, Operator, OperatorCommand
 from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -97,13 +97,12 @@ class RemoteOperator(Operator):
         wall_s: Callable[[], float] = time.monotonic,
         second_person: tuple[str, ...] = (),
     ) -> None:
-        super().__init__((), attended=True)
+        super().__init__((), attended=True, wall_s=wall_s)
         self._second_person = second_person
         self._messages = messages
         self._status = status
         self._on_loss = on_loss
         self._lease_s = lease_s
-        self._wall_s = wall_s
         self._last_rx_s = wall_s()
         self._present = True
         self._disconnected = False
@@ -233,7 +232,7 @@ class RemoteOperator(Operator):
             refusal = f"bench: cannot {word} in {mode.value}"
             refusal += ": STOP ends it" if command is OperatorCommand.HOLD and mode not in AT_REST else ""
         elif command not in HALTS and self._is_late(message):  # ABORT moves the chaser: it is refused as any motion is
-            refusal = f"bench: {word} came too late to be executed: command it again"
+            refusal = f"bench: {word} {TOO_LATE}"
         elif command.question:
             if message.get("confirmed") is not True:
                 return {"text": "", "ask": command.question, "mode": mode.value}
@@ -242,7 +241,7 @@ class RemoteOperator(Operator):
             elif word in self._second_person and message.get("second", "") in ("", operator.key):
                 return {"text": "", "second": word, "mode": mode.value}
         if not refusal:
-            self.submit(command)
+            self.submit(command, math.inf if command in HALTS else float(message.get("until_s", math.inf)))
         self._log_event("operator", operator, f"{word}{refusal and f': rejected: {refusal}'}")
         return {"text": refusal}
 

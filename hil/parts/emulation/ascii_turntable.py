@@ -87,7 +87,7 @@ class AsciiTurntableEmulator:
             wire = FaultyWire(self.faults, stream(seed, "wire"))
             self._server = _AsciiServer(clock, self._advance, self._answers, wire)
         else:
-            self._line = PtyLine(config.ascii.baud, clock)
+            self._line = PtyLine(config.ascii.baud, clock, config.ascii.adapter_latency_s)
 
     def start(self) -> dict[str, str]:
         """Return the path of the line, or the address on the network."""

@@ -5,20 +5,24 @@ from __future__ import annotations
 import ctypes
 import errno
 import fcntl
+import re
 import socket
 import struct
 import threading
 import time
 from collections.abc import Callable
+from tempfile import NamedTemporaryFile
 from typing import Final
 
 import numpy as np
 
+from hil.config.tables.cameras import CameraHabits
 from hil.core.clock import WallClock
-from hil.drivers.cameras.libaravis import FILL, aravis
+from hil.drivers.cameras.libaravis import FILL, Aravis, aravis
 from hil.errors import LinkLost
 from hil.parts.emulation.fault_injection import Faults
 
+OBLIGING: Final = CameraHabits()
 _POLL_WALL_S: Final = 0.05
 _TRIGGER_HZ: Final = 500.0  # at which the fake camera looks for a software trigger
 _SENSOR_WIDTH, _SENSOR_HEIGHT = 0x11C, 0x118  # registers of the fake camera
@@ -31,6 +35,7 @@ class CameraEmulator:
 
     image_at: returns the image, (height, width), uint8, of an exposure at a bench time, s. sensor: (width, height) of
     the sensor, px. exposure_s: exposure time of the images of ``image_at``; None: they are those of any exposure time.
+    habits: of its make.
     """
 
     def __init__(
@@ -41,6 +46,7 @@ class CameraEmulator:
         image_at: Callable[[float], np.ndarray],
         sensor: tuple[int, int] = (2048, 2048),
         exposure_s: float | None = None,
+        habits: CameraHabits = OBLIGING,
     ) -> None:
         self.faults = Faults(name, ("camera",))
         self._name = name
@@ -49,6 +55,7 @@ class CameraEmulator:
         self._image_at = image_at
         self._sensor = sensor
         self._exposure_s = exposure_s
+        self._habits = habits
         self._camera: int | None = None
         self._fill = FILL(self._fill_buffer)
         self._last: np.ndarray | None = None
@@ -59,7 +66,11 @@ class CameraEmulator:
         add_loopback_address(self._name, self._address)
         check_port(self._name, self._address)
         serial = self._name.replace(".", "-").upper()
-        self._camera = self._library.gv_fake_camera_new(self._address.encode(), serial.encode())
+        with NamedTemporaryFile(suffix=".xml") as file:
+            file.write(_description(self._library, self._habits))
+            file.flush()
+            names = [text.encode() for text in (self._address, serial, file.name)]
+            self._camera = self._library.gv_fake_camera_new_full(*names)
         if not self._library.gv_fake_camera_is_running(self._camera):
             raise LinkLost(self._name, f"{self._address}: no address of a network interface of this host")
         fake = self._library.gv_fake_camera_get_fake_camera(self._camera)
@@ -102,6 +113,8 @@ class CameraEmulator:
         if pixel_bytes == 2:
             pixels <<= 8
         ctypes.memmove(address, pixels.ctypes.data, pixels.nbytes)
+        if not self._habits.stamps:
+            library.buffer_set_timestamp(buffer, 0)
         if (delay_s := self.faults.value("delay")) is not None:
             time.sleep(self._clock.wall_s(delay_s))
 
@@ -109,6 +122,21 @@ class CameraEmulator:
         if self.faults.value("freeze") is None or self._last is None:
             self._last = self._image_at(exposed_s)
         return np.zeros_like(self._last) if self.faults.value("dark") is not None else self._last
+
+
+def _description(library: Aravis, habits: CameraHabits) -> bytes:
+    """Return the description, XML of GenApi, of the library's fake camera with ``habits``."""
+    length, plain = ctypes.c_size_t(), library.fake_camera_new(b"PLAIN")
+    address = library.fake_camera_get_genicam_xml(plain, ctypes.byref(length))
+    text = ctypes.string_at(address, length.value).replace(b"FrameStart", habits.trigger_selector.encode())
+    library.unref(plain)
+    if habits.gain_unit is None:
+        return text
+    gain = re.search(rb'<Integer Name="GainRaw".*?</Integer>', text, re.DOTALL)
+    assert gain is not None
+    whole = gain[0].replace(b"Integer", b"Float").replace(b'"GainRaw"', b'"Gain"')
+    floating = whole.replace(b"</Max>", b"</Max><Unit>%s</Unit>" % habits.gain_unit.encode())
+    return text.replace(gain[0], floating).replace(b"<pFeature>GainRaw<", b"<pFeature>Gain<")
 
 
 def check_port(name: str, address: str) -> None:

@@ -64,10 +64,12 @@ class Station(Protocol):
 class SerialStation:
     """A node on a pty with ``bytes_per_s`` of bench time, in both directions."""
 
-    def __init__(self, bytes_per_s: float, clock: BenchClock, faults: Faults, generator: np.random.Generator) -> None:
+    def __init__(
+        self, bytes_per_s: float, latency_s: float, clock: BenchClock, faults: Faults, generator: np.random.Generator
+    ) -> None:
         self._faults = faults
         self._channel = FaultyChannel(faults, generator)
-        self._line = PtyLine(round(10.0 * bytes_per_s), clock)
+        self._line = PtyLine(round(10.0 * bytes_per_s), clock, latency_s)
         self.address = self._line.path
         self._frames = SerialFrames(takes_remote=True)
         self._clock = clock
@@ -152,7 +154,7 @@ class Cia402Emulator:
         noise = stream(seed, "wire")
         self._station: Station
         if config.cia402.interface == "serial":
-            self._station = SerialStation(BUS_BYTES_PER_S, clock, self.faults, noise)
+            self._station = SerialStation(BUS_BYTES_PER_S, config.cia402.adapter_latency_s, clock, self.faults, noise)
         else:
             self._station = BusStation(config.cia402, clock, self.faults, noise)
 

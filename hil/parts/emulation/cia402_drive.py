@@ -23,6 +23,7 @@ _SYNCHRONOUS_MAX: Final = 240  # transmission types up to this are with every so
 _ABORT_IS_A_FAULT: Final = 1  # abort connection option
 _WARNING: Final = 0x8210  # PDO not processed because of its length
 _BURST: Final = 5
+_TARGETS: Final = {codec.TARGET_POSITION, codec.INTERPOLATION_DATA}
 
 _POWERED: Final = (DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP_ACTIVE)
 _NMT_STATES: Final = {codec.NMT_START: codec.OPERATIONAL, codec.NMT_STOP: codec.STOPPED}
@@ -108,12 +109,12 @@ class EmulatedCia402Drive:
         if pdo is None or len(data) < pdo.layout.size:
             return []
         pdo.unpack(data)
-        if identifier == codec.RPDO1_ID + self.node_id:
+        if codec.CONTROLWORD in pdo.indices:
+            self._control(now_s)
+        if pdo.indices & _TARGETS:
             self._fresh_target = pdo.transmission <= _SYNCHRONOUS_MAX
             if not self._fresh_target and self.state is DriveState.ENABLED:
                 self._motion.on_sync(now_s)
-        else:
-            self._control(now_s)
         return self.status(now_s)
 
     def advance(self, now_s: float) -> list[Frame]:
@@ -242,10 +243,8 @@ class EmulatedCia402Drive:
         self._refresh()
         return [
             (pdo.identifier, pdo.pack())
-            for identifier in (codec.TPDO1_ID, codec.TPDO2_ID)
-            if (pdo := self._pdos.get(identifier + self.node_id)) is not None
-            and 0 < pdo.transmission <= _SYNCHRONOUS_MAX
-            and self._syncs % pdo.transmission == 0
+            for pdo in self._pdos.values()
+            if pdo.is_sent and 0 < pdo.transmission <= _SYNCHRONOUS_MAX and self._syncs % pdo.transmission == 0
         ]
 
     def _on_guard(self, identifier: int, data: bytes) -> list[Frame]:

@@ -27,7 +27,12 @@ _WRONG_STATE = 0x08000022
 _REFUSED = 0x08000000
 _UNKNOWN_COMMAND = 0x05040001
 
-_PDOS = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
+_PDOS = [
+    codec.numbered(pdo, number)
+    for pdo in (codec.SETPOINT_PDO, codec.FEEDBACK_PDO)
+    for number in range(codec.PDOS_OF_A_NODE)
+]
+_MAPPED_MAX = 8
 _MAPPINGS = frozenset((*range(0x1600, 0x1800), *range(0x1A00, 0x1C00)))
 _FORMATS = {8: "b", 16: "H", 32: "i"}  # formats of mappable objects, by bits
 _TRANSMISSIONS = (*range(241), 254, 255)
@@ -62,6 +67,8 @@ class MappedPdo:
     transmission: int
     layout: struct.Struct
     objects: tuple[Object, ...]
+    indices: frozenset[int]
+    is_sent: bool
 
     def pack(self) -> bytes:
         return self.layout.pack(*(entry.value for entry in self.objects))
@@ -85,6 +92,9 @@ class ObjectDictionary:
             for key, variable in variables.items()
             if key[0] not in self.habits.missing
         }
+        for index in [index for (index, sub), entry in self.entries.items() if not sub and entry.writable]:
+            for sub in range(1, (_MAPPED_MAX if index in _MAPPINGS else 0) + 1):
+                self.entries.setdefault((index, sub), Object(4, writable=True))
         self._set_up(config, watchdog_ms, variables)
         self.object_dictionary = canopen.ObjectDictionary()  # of canopen's server, which asks for the data alone
         self._server = _SdoServer(self)
@@ -164,14 +174,18 @@ class ObjectDictionary:
         pdos = {}
         for pdo in _PDOS:
             identifier = self.value(pdo.parameter, 1) & 0xFFFF_FFFF
-            if identifier & codec.PDO_INVALID:
+            if identifier & codec.PDO_INVALID or (pdo.parameter, 1) not in self.entries:
                 continue
             places = range(1, self.value(pdo.mapping_index) + 1)
             mapping = [self.value(pdo.mapping_index, subindex) & 0xFFFF_FFFF for subindex in places]
+            keys = [(entry >> 16, entry >> 8 & 0xFF) for entry in mapping]
+            if any(entry & 0xFF not in _FORMATS for entry in mapping) or not self.entries.keys() >= set(keys):
+                continue  # it does not concern motion
             layout = struct.Struct("<" + "".join(_FORMATS[entry & 0xFF] for entry in mapping))
-            objects = tuple(self.entries[(entry >> 16, entry >> 8 & 0xFF)] for entry in mapping)
-            identifier &= 0x7FF
-            pdos[identifier] = MappedPdo(identifier, self.value(pdo.parameter, 2) & 0xFF, layout, objects)
+            objects = tuple(self.entries[key] for key in keys)
+            indices = frozenset(index for index, _ in keys)
+            transmission, is_sent = self.value(pdo.parameter, 2) & 0xFF, pdo.parameter >= codec.FEEDBACK_PDO.parameter
+            pdos[identifier & 0x7FF] = MappedPdo(identifier & 0x7FF, transmission, layout, objects, indices, is_sent)
         return pdos
 
     def serve(self, request: bytes, operational: bool) -> tuple[bytes, int | None]:

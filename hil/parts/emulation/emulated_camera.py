@@ -21,4 +21,5 @@ def emulated_camera(table: Vmu, clock: WallClock, image_at: Callable[[float], np
     """Return the camera ``side``, left or right, of ``table``; image_at: its image at a bench time, s."""
     if table.settings.interface != "genicam":
         raise DeviceError(NAME, f'cameras.interface = "{table.settings.interface}": only "genicam" can be emulated')
-    return CameraEmulator(f"{NAME}.{side}", getattr(table.settings, side) or ADDRESSES[side], clock, image_at)
+    address, habits = getattr(table.settings, side) or ADDRESSES[side], table.settings.emulated
+    return CameraEmulator(f"{NAME}.{side}", address, clock, image_at, habits=habits)

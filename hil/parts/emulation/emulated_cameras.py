@@ -93,7 +93,7 @@ def emulated_television(
     start = start_axes(scenario, rig)
     image_of(start.rail_m, start.gimbal_rad)  # compiles
     size, address = (scene.camera.width, scene.camera.height), rig.monitor_camera.camera or MONITOR_ADDRESS
-    return CameraEmulator(MONITOR, address, clock, image_at, size, _EXPOSURE_S)
+    return CameraEmulator(MONITOR, address, clock, image_at, size, _EXPOSURE_S, rig.monitor_camera.emulated)
 
 
 def images_at_start(scenario: Scenario, rig: Rig) -> tuple[Images, Images]:

@@ -112,7 +112,7 @@ class RtuRailsEmulator:
         )
         self._channel = FaultyChannel(self.faults, self._rails.wire_noise)
         baud = round(rtu.baud * _PTY_BITS_PER_BYTE / rtu.bits_per_byte)
-        self._line = PtyLine(baud, clock)
+        self._line = PtyLine(baud, clock, rtu.adapter_latency_s)
 
     def start(self) -> dict[str, str]:
         """Return the path of the line."""

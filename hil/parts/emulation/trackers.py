@@ -247,7 +247,11 @@ class TrackerEmulator:
         while (now_s := self._clock.now_s()) < t_s:
             for message in self._channel.due(now_s):
                 self._server.send(message, now_s)
-            wait_s = self._clock.wall_s(min(t_s, self._channel.next_s) - now_s)
+            until_s = min(t_s, self._channel.next_s)
+            if not self._server.sockets():
+                self._clock.sleep_until(until_s)
+                continue
+            wait_s = self._clock.wall_s(until_s - now_s)
             ready, _, _ = select.select(self._server.sockets(), [], [], min(max(0.0, wait_s), _LISTENED_WALL_S))
             for each in ready:
                 with suppress(OSError):

@@ -47,7 +47,7 @@ class VmuEmulator:
     ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
-        self._baud = (config.rs422 or VmuLine()).baud
+        self._serial = config.rs422 or VmuLine()
         self._codec = frame_codec(frames_of(config))
         self._identifies = bool(self._codec.identity_sync)
         self._clock = clock
@@ -68,7 +68,7 @@ class VmuEmulator:
         return {NAME: self._line.path}
 
     def _open_line(self) -> PtyLine | DatagramSender:
-        return PtyLine(self._baud, self._clock)
+        return PtyLine(self._serial.baud, self._clock, self._serial.adapter_latency_s)
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set; after ``start``."""

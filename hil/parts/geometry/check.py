@@ -6,8 +6,6 @@ the cause is the one whose own error explains them best. The chart is a CSV file
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -19,14 +17,15 @@ import numpy as np
 from hil.config.bench_geometry import geometry_of
 from hil.config.rig import BENCH_AXES
 from hil.config.tables.machine import NAMES
-from hil.core.files import MIB, read_text, write_text
+from hil.core.csv_table import read_csv
+from hil.core.files import MIB, read_text
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import quat
 from hil.maths.chi_square import upper_quantile
 from hil.params.bench_budget import parameter_covariance
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import PoseObservations
+from hil.parts.geometry.observations import PoseObservations, write_table
 
 ALARM: Final = 1e-3
 """Probability of a chance result below which the bench has drifted."""
@@ -153,29 +152,21 @@ def read_chart(path: Path) -> list[ChartRow]:
     """Return the earlier checks, none without a file; raise BadInput."""
     if not path.exists():
         return []
-    reader = csv.DictReader(io.StringIO(read_text(path, MIB)))
-    if tuple(reader.fieldnames or ()) != _CHART:
-        raise BadInput.single(str(path), "", f"no control chart: its columns are not {','.join(_CHART)}")
-    try:
-        return [ChartRow(row["date"], tuple(float(row[name]) for name in _CHART[6:])) for row in reader]
-    except (TypeError, ValueError) as error:
-        raise BadInput.single(str(path), "", f"a number is missing or invalid: {error}") from error
+    table = read_csv(path, MIB, _CHART, what="check")
+    means = [tuple(table.number(line, name, row[name]) for name in _CHART[6:]) for line, row in table.rows]
+    table.check()
+    return [ChartRow(row["date"], mean) for (_, row), mean in zip(table.rows, means, strict=True)]
 
 
 def append_to_chart(path: Path, date: str, result: GeometryDrift) -> str:
     """Append ``result``; return its place in the chart, "" while it has too few checks. Raises BadInput."""
     earlier = read_chart(path)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if not earlier:
-        writer.writerow(_CHART)
     numbers = (f"{result.chi_square:.4g}", result.dof, f"{result.limit:.4g}")
-    writer.writerow([date, result.poses, *numbers, result.verdict, *(f"{x:.4g}" for x in result.mean)])
-    before = read_text(path, MIB) if earlier else ""
-    write_text(before + text.getvalue(), str(path))
+    row = [date, result.poses, *numbers, result.verdict, *(f"{x:.4g}" for x in result.mean)]
+    write_table(str(path), _CHART, [row], read_text(path, MIB) if earlier else "")
     if len(earlier) < _LEAST_CHECKS:
         return ""
-    means = np.array([row.mean for row in earlier])
+    means = np.array([each.mean for each in earlier])
     spread = np.maximum(means.std(axis=0, ddof=1), 1e-9)
     off = np.abs(result.mean - means.mean(axis=0)) / spread
     k = int(off.argmax())

@@ -48,19 +48,8 @@ class MachineModel:
 
     def predict(self, vector: Array, axes: Array, source: np.ndarray) -> Predicted:
         """Return what a machine with ``vector`` (PARAMETERS,), m and rad, shows at encoders (n, 6) to each source."""
-        machines = machines_about(self.rig, STEP_S, vector)
-        n, rails, gimbals = len(axes), np.ascontiguousarray(axes[:, :3]), np.ascontiguousarray(axes[:, 3:])
-        r, q = np.empty((PARAMETERS + 1, n, 3)), np.empty((PARAMETERS + 1, n, 4))
-        poses_of_machines(machines, rails, gimbals, r, q)
-        if (by_camera := source == "vmu").any():
-            mountings = np.zeros(PARAMETERS + 1, MOUNTING).view(np.recarray)
-            for k in range(PARAMETERS + 1):
-                moved = vector.copy()
-                moved[k - 1 : k] += STEP
-                mountings[k] = mounting_of(self.rig, moved)
-            r_v, q_v = np.empty_like(r), np.empty_like(q)
-            camera_poses_of_machines(machines, mountings, rails, gimbals, r_v, q_v)
-            r[:, by_camera], q[:, by_camera] = r_v[:, by_camera], q_v[:, by_camera]
+        vectors = np.vstack([vector, vector + STEP * np.eye(PARAMETERS)])
+        r, q = self._poses(machines_about(self.rig, STEP_S, vector), vectors, axes, source == "vmu")
         turned = rotations_between(q[1:], np.broadcast_to(q[0], q[1:].shape))
         slopes = np.concatenate([r[1:] - r[0], turned], axis=2) / STEP
         return Predicted(r[0], q[0], slopes.transpose(1, 2, 0))
@@ -70,15 +59,21 @@ class MachineModel:
         machine = np.zeros(1, BENCH_PARAMS).view(np.recarray)
         machine[0] = bench(self.rig, STEP_S)
         set_geometry(machine[0], self.rig, vector)
-        n, rails, gimbals = len(axes), np.ascontiguousarray(axes[:, :3]), np.ascontiguousarray(axes[:, 3:])
-        r, q = np.empty((1, n, 3)), np.empty((1, n, 4))
-        if source == "vmu":
-            mounting = np.zeros(1, MOUNTING).view(np.recarray)
-            mounting[0] = mounting_of(self.rig, vector)
-            camera_poses_of_machines(machine, mounting, rails, gimbals, r, q)
-        else:
-            poses_of_machines(machine, rails, gimbals, r, q)
+        r, q = self._poses(machine, vector[None], axes, np.full(len(axes), source == "vmu"))
         return np.hstack([r[0], [quat.to_rotation_vector(each) for each in q[0]]])
+
+    def _poses(self, machines: np.ndarray, vectors: Array, axes: Array, by_camera: np.ndarray) -> tuple[Array, Array]:
+        """Return the poses (m, n, 3), m, and (m, n, 4) of ``machines`` (m,) with ``vectors``; by_camera: mask (n,)."""
+        m, n, rails, gimbals = len(vectors), len(axes), axes[:, :3].copy(), axes[:, 3:].copy()
+        r, q = np.empty((m, n, 3)), np.empty((m, n, 4))
+        poses_of_machines(machines, rails, gimbals, r, q)
+        if by_camera.any():
+            mountings, r_v, q_v = np.zeros(m, MOUNTING).view(np.recarray), np.empty_like(r), np.empty_like(q)
+            for k, vector in enumerate(vectors):
+                mountings[k] = mounting_of(self.rig, vector)
+            camera_poses_of_machines(machines, mountings, rails, gimbals, r_v, q_v)
+            r[:, by_camera], q[:, by_camera] = r_v[:, by_camera], q_v[:, by_camera]
+        return r, q
 
 
 def rotations_between(p: Array, q: Array) -> Array:

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from hil.core.files import MIB, read_text, write_text
+from hil.core.csv_table import read_csv
+from hil.core.files import MIB, write_text
 from hil.core.messages import Array
-from hil.errors import BadInput, Problem
 
 SOURCES: Final = ("tracker", "vmu")
 BODIES: Final = {"tracker": "chaser", "vmu": "ring"}
@@ -28,7 +27,6 @@ _SIGMAS: Final = tuple(f"sigma_{name}" for name in _POSE)
 _NUMBERS: Final = (*AXIS_COLUMNS, *_POSE, *_SIGMAS)
 COLUMNS: Final = ("pose", *_NUMBERS, "source", "body")
 _FILE_BYTES: Final = 16 * MIB
-_PROBLEMS_MAX: Final = 5
 
 
 @dataclass(frozen=True)
@@ -57,59 +55,43 @@ def joined(rows: list[PoseObservations]) -> PoseObservations:
 
 def write_observations(observations: PoseObservations, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
+    numbers = np.hstack([observations.axes, observations.value, observations.sigma])
+    sources = [str(source) for source in observations.source]
+    rows = zip(observations.pose, numbers, sources, strict=True)
+    write_table(path, COLUMNS, ([int(n), *map(_text, row), source, BODIES[source]] for n, row, source in rows))
+
+
+def write_table(path: str, columns: Sequence[str], rows: Iterable[Sequence[object]], before: str = "") -> None:
+    """Write a CSV file, or append ``rows`` to the text ``before`` of one. Raises BadInput if it cannot be written."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for k in range(len(observations)):
-        numbers = np.concatenate([observations.axes[k], observations.value[k], observations.sigma[k]])
-        source = str(observations.source[k])
-        writer.writerow([int(observations.pose[k]), *(f"{x:.9g}" for x in numbers), source, BODIES[source]])
-    write_text(text.getvalue(), path)
+    csv.writer(text, lineterminator="\n").writerows([*([] if before else [columns]), *rows])
+    write_text(before + text.getvalue(), path)
+
+
+def _text(value: float) -> str:
+    return f"{value:.9g}"
 
 
 def read_observations(path: str) -> PoseObservations:
     """Return the observations of a CSV file; raise BadInput."""
-    rows = list(_rows(path))
-    problems: list[Problem] = []
+    table = read_csv(Path(path), _FILE_BYTES, COLUMNS, what="pose")
     values = []
-    for line, row in rows:
-        numbers = [_number(path, line, name, row[name], problems) for name in _NUMBERS]
+    for line, row in table.rows:
+        numbers = [table.number(line, name, row[name]) for name in _NUMBERS]
         if row["source"] not in SOURCES or row["body"] != BODIES[row["source"]]:
             text = f"{row['source']!r}, {row['body']!r}: allowed tracker, chaser or vmu, ring"
-            problems.append(Problem(path, f"line {line}, source, body", text))
+            table.note(f"line {line}, source, body", text)
         if any(not sigma > 0.0 for sigma in numbers[12:]):
-            problems.append(Problem(path, f"line {line}", "a sigma is not above 0"))
+            table.note(f"line {line}", "a sigma is not above 0")
         values.append(numbers)
-    if not rows:
-        problems.append(Problem(path, "", "contains no pose"))
-    if problems:
-        raise BadInput(problems[:_PROBLEMS_MAX])
+    table.check()
     axes, value, sigma = np.split(np.array(values), 3, axis=1)
-    pose = np.array([row["pose"] for _, row in rows])
+    pose = np.array([row["pose"] for _, row in table.rows])
     numbers_of = {name: number for number, name in enumerate(dict.fromkeys(pose.tolist()))}
     return PoseObservations(
         np.array([numbers_of[name] for name in pose.tolist()]),
         axes,
         value,
         sigma,
-        np.array([row["source"] for _, row in rows]),
+        np.array([row["source"] for _, row in table.rows]),
     )
-
-
-def _rows(path: str) -> Iterator[tuple[int, dict[str, str]]]:
-    reader = csv.DictReader(io.StringIO(read_text(Path(path), _FILE_BYTES)), skipinitialspace=True)
-    header = [name.strip() for name in reader.fieldnames or ()]
-    if missing := [name for name in COLUMNS if name not in header]:
-        raise BadInput.single(path, "", f"column {missing[0]} is missing; columns: {','.join(COLUMNS)}")
-    for line, row in enumerate(reader, start=2):
-        yield line, {name: (row[name] or "").strip() for name in COLUMNS}
-
-
-def _number(path: str, line: int, column: str, text: str, problems: list[Problem]) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        problems.append(Problem(path, f"line {line}, {column}", f"{text!r}: must be a finite number"))
-    return value

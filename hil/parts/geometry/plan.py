@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +10,13 @@ from typing import Final
 import numpy as np
 
 from hil.config.tables.machine import NAMES, PARAMETERS
-from hil.core.files import MIB, read_text, write_text
+from hil.core.csv_table import read_csv
+from hil.core.files import MIB
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.parts.geometry.fit import UNIT
 from hil.parts.geometry.model import MachineModel
-from hil.parts.geometry.observations import AXIS_COLUMNS
+from hil.parts.geometry.observations import AXIS_COLUMNS, write_table
 from hil.parts.vision.view_plan import IsClear, short_way
 
 _CANDIDATES: Final = 5  # per pose
@@ -141,24 +140,13 @@ def _most_informative(slopes: Array, count: int) -> tuple[list[int], list[str]]:
 
 def write_plan(plan: GeometryPlan, path: str) -> None:
     """Write a CSV file. Raises BadInput if it cannot be written."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for k, (axes, reason) in enumerate(zip(plan.axes, plan.reasons, strict=True), start=1):
-        writer.writerow([k, *(f"{x:.9g}" for x in axes), reason])
-    write_text(text.getvalue(), path)
+    rows = enumerate(zip(plan.axes, plan.reasons, strict=True), start=1)
+    write_table(path, _COLUMNS, ([k, *(f"{x:.9g}" for x in axes), reason] for k, (axes, reason) in rows))
 
 
 def read_plan(path: str) -> Array:
     """Return the axes, (n, 6), m and rad, of a plan; raise BadInput."""
-    reader = csv.DictReader(io.StringIO(read_text(Path(path), MIB)), skipinitialspace=True)
-    names: Sequence[str] = [name.strip() for name in reader.fieldnames or ()]
-    if missing := [name for name in AXIS_COLUMNS if name not in names]:
-        raise BadInput.single(path, "", f"column {missing[0]} is missing; columns: {','.join(_COLUMNS)}")
-    try:
-        axes = np.array([[float(row[name]) for name in AXIS_COLUMNS] for row in reader])
-    except (TypeError, ValueError) as error:
-        raise BadInput.single(path, "", f"a number is missing or invalid: {error}") from error
-    if not len(axes) or not np.isfinite(axes).all():
-        raise BadInput.single(path, "", "contains no pose" if not len(axes) else "a number is not finite")
+    table = read_csv(Path(path), MIB, AXIS_COLUMNS, what="pose")
+    axes = np.array([[table.number(line, name, row[name]) for name in AXIS_COLUMNS] for line, row in table.rows])
+    table.check()
     return axes

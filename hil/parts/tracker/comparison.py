@@ -110,6 +110,7 @@ class BenchComparison:
         """Frames that count, and others by the reason."""
         self.last_s = math.nan
         """Bench time of the last sample that counted."""
+        self._begun_s = math.nan
 
     def moment_of(self, frame: TrackedFrame) -> float:
         """Return the moment of ``frame`` in bench time, s, with its latency. Once for each frame, in their order."""
@@ -170,6 +171,7 @@ class BenchComparison:
             return self._rejected(frame, t_s, states, states["chaser"])
         self.counts["ok"] += 1
         self.last_s, self._moment = t_s, moment
+        self._begun_s = t_s if math.isnan(self._begun_s) else self._begun_s
         off, pose = offs["chaser"], self._in_bench(bodies["chaser"], moment)
         assert off is not None
         self._add_latency(t_s, off, moment)
@@ -255,6 +257,11 @@ class BenchComparison:
         first.append(self._mountings[role].apply(body.position, body.q))
         if len(first) == _MEASURED:
             self._stood[role] = mean_pose(first)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the samples that count cover ``WINDOW_S``."""
+        return self.last_s - self._begun_s >= WINDOW_S
 
     def deviations(self, now_s: float) -> dict[str, Deviation]:
         """Return the mean difference of each body in the last ``WINDOW_S``, by its role, or the change of that mean

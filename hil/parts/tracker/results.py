@@ -117,7 +117,17 @@ class TruthStatistics:
 
 
 def section(numbers: dict[str, Any]) -> Section:
-    """Return what the tracker has shown as a section of the report: commanded, encoders, tracker."""
+    """Return the truth of the bench as a section of the report: its budget; commanded, encoders, tracker with one."""
+    budget = []
+    if "since_s" in numbers:
+        margins = [_three(numbers[f"margin_{name}_sigmas"], 1.0, ".0f") for name in ("position", "attitude")]
+        budget = [
+            f"margins to Table III from {numbers['since_s']:.1f} s on, in standard deviations of the bench's own pose: "
+            f"position {margins[0]}, attitude {margins[1]}"
+        ]
+    if "driver" not in numbers:
+        text = f"{_three(numbers['sigma_m'], 1e3, '.2f')} mm in H, {_three(numbers['sigma_deg'], 1.0, '.3f')} deg"
+        return Section("Bench", [f"no tracker; sigma of its pose by geometry and encoders: {text}", *budget])
     counts, clock = numbers["counts"], numbers["clock"]
     rejected = ", ".join(f"{n} {name}" for name, n in counts.items() if name != "ok") or "none"
     notes = [
@@ -130,6 +140,7 @@ def section(numbers: dict[str, Any]) -> Section:
         f"{numbers['worst_deg']:.3f} deg; sigma {_three(numbers['sigma_m'], 1e3, '.2f')} mm, "
         f"{_three(numbers['sigma_deg'], 1.0, '.3f')} deg",
     ]
+    notes += budget
     if numbers["alarm"]:
         notes.append(numbers["alarm"])
     head = ("bench against truth", "rms x y z, mm", "max, mm", "rms about x y z, deg", "max, deg")

@@ -14,6 +14,7 @@ from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array
 from hil.drivers.mock_axes import MockAxes
@@ -27,6 +28,7 @@ from hil.params.bench_budget import BenchSigma
 from hil.parts.tracker.comparison import WINDOW_S, BenchComparison, ComparedSample, Deviation
 from hil.parts.tracker.encoder_poses import EncoderPoses, pose_of
 from hil.parts.tracker.frames import TrackedFrame, TrackerSource
+from hil.parts.tracker.margins import table_iii_margins
 from hil.parts.tracker.mock import MockTracker
 from hil.parts.tracker.results import TruthStatistics
 from hil.parts.tracker.rows import SAMPLE
@@ -39,6 +41,7 @@ _PER_CYCLE: Final = 4  # frames that are compared
 _ROWS_MAX: Final = 200_000  # that are kept in memory
 _JUDGED_EACH: Final = 5  # cycles
 _SILENT_S: Final = 2.0
+_STANDING_S: Final = 3.0  # at most, for the comparison before the first motion
 _RECOVERED: Final = 0.7  # of its bound, below which a difference is over
 
 
@@ -53,8 +56,8 @@ def check_run(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     if (config.driver == "mock") != (rig.value.kind == "mock"):
         allowed = '"mock"' if rig.value.kind == "mock" else ", ".join(f'"{name}"' for name in config.on_wires)
         problem("driver", f'"{config.driver}": on a rig of kind "{rig.value.kind}" allowed are {allowed}')
-    if rig.value.host.time == "lock_step":
-        problem("driver", f'"{config.driver}": a tracker keeps real time, not available in lock-step')
+    if rig.value.host.time == "lock_step" and config.driver != "text":
+        problem("driver", f'"{config.driver}": keeps real time, in lock-step allowed is "text"')
     if rig.value.target_axes is not None:
         problem("target", "a target on axes: its tracked body must stand")
     if config.driver == "text" and config.port is None and rig.value.kind == "hardware":
@@ -64,11 +67,13 @@ def check_run(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
 
 @contextmanager
 def attach(job: Job, parts: SessionParts) -> Iterator[None]:
-    """Compare the tracker of the rig with the encoders in each cycle, until the run has ended."""
+    """Compare the tracker of the rig with the encoders before motion and in each cycle, until the run has ended."""
     watch = TrackerWatch(job, parts)
     parts.layers.append(watch.over)
     parts.on_run_zero.append(watch.set_zero)
     parts.on_built.append(watch.begin)
+    if parts.clock is not None:
+        parts.before_motion.append(watch.check_standing)
     parts.results.append(watch.result)
     try:
         yield
@@ -85,8 +90,9 @@ class TrackerWatch:
         self._job, self._clock = job, parts.clock
         scenario = job.scenario.value
         self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
-        worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
-        self.comparison = BenchComparison(self._config, EncoderPoses(self._bench, scenario.step_s), worth)
+        self._worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
+        self.comparison = self._new_comparison()
+        self._standing, self._standing_s = self._new_comparison(), math.nan
         self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
@@ -99,6 +105,10 @@ class TrackerWatch:
         self._first_s = math.nan
         self._cycles = 0
         self._kept: list[np.ndarray] = []
+
+    def _new_comparison(self) -> BenchComparison:
+        encoders = EncoderPoses(self._bench, self._job.scenario.value.step_s)
+        return BenchComparison(self._config, encoders, self._worth)
 
     def over(self, rows: Telemetry) -> Telemetry:
         """Return this layer, which passes each row on to ``rows``."""
@@ -137,20 +147,47 @@ class TrackerWatch:
         self._add_cycle(row[0], now_s)
         if isinstance(self._source, MockTracker):
             self._source.run_zero_s = self._zero_s
-        for frame in self._source.poll(now_s):
-            self._waiting.append((self.comparison.moment_of(frame), frame))
-        due: deque[tuple[float, TrackedFrame]] = deque(maxlen=_PER_CYCLE)
-        while self._waiting and self.comparison.is_due(*self._waiting[0]):
-            due.append(self._waiting.popleft())
-        for late_s, frame in due:
-            if (sample := self.comparison.compare(frame, late_s)) is not None:
-                self._statistics.add(sample)
-                self._record(sample)
+        for sample in self._samples(self.comparison, now_s):
+            self._statistics.add(sample)
+            self._record(sample)
         self._cycles += 1
         if self._cycles % _JUDGED_EACH == 0:
             self._judge(now_s)
 
-    def result(self, _: Outcome) -> PartResult:
+    def check_standing(self, now_s: float, feedback: np.record) -> bool:
+        """Compare the tracker with the bench, which stands, for ``WINDOW_S``; return whether that is complete.
+
+        feedback: FEEDBACK. Raises SafetyTrip for a difference beyond its bound. A silent tracker is left to the run.
+        """
+        standing = self._standing
+        self._standing_s = now_s if math.isnan(self._standing_s) else self._standing_s
+        standing.encoders.add(now_s, np.concatenate([feedback.rail_m, feedback.gimbal_rad]))
+        for _ in self._samples(standing, now_s):
+            pass
+        if not standing.is_complete and now_s - self._standing_s < _STANDING_S:
+            return False
+        self._standing, self._standing_s = self._new_comparison(), math.nan
+        self._waiting.clear()
+        if standing.counts["outlier"] > standing.counts["ok"]:
+            raise table.BENCH_AGAINST_TRACKER.trip(NAME, "off by more than its gate", self._config.gate_m)
+        deviation = standing.deviations(standing.last_s).get("chaser")
+        if deviation is not None and deviation.excess > 1.0:
+            raise self._alarm_of(now_s, deviation, standing.cause({"chaser": deviation}, self._axis_names)).trip()
+        return True
+
+    def _samples(self, comparison: BenchComparison, now_s: float) -> Iterator[ComparedSample]:
+        """Yield the newest frames whose moments the encoders of ``comparison`` have reached, compared."""
+        assert self._source is not None
+        for frame in self._source.poll(now_s):
+            self._waiting.append((comparison.moment_of(frame), frame))
+        due: deque[tuple[float, TrackedFrame]] = deque(maxlen=_PER_CYCLE)
+        while self._waiting and comparison.is_due(*self._waiting[0]):
+            due.append(self._waiting.popleft())
+        for late_s, frame in due:
+            if (sample := comparison.compare(frame, late_s)) is not None:
+                yield sample
+
+    def result(self, outcome: Outcome) -> PartResult:
         """Return what the tracker has shown of the bench, table ``bench_truth``."""
         comparison = self.comparison
         numbers = self._statistics.numbers() | {
@@ -161,6 +198,9 @@ class TrackerWatch:
             "alarm": self._alarm or None,
         }
         withheld = self._alarm or ("" if comparison.counts["ok"] else "tracker: no sample could be compared")
+        if self._worth is not None and len(outcome.history):
+            margins, too_small = table_iii_margins(self._job.scenario.value, self._worth, outcome)
+            numbers, withheld = margins | numbers, withheld or too_small
         rows = np.concatenate([np.zeros(0, SAMPLE), *self._kept])
         return PartResult("bench_truth", numbers, {"tracker_samples": rows}, withheld)
 
@@ -217,11 +257,14 @@ class TrackerWatch:
             alarms.return_to_normal(NAME, table.BENCH_AGAINST_TRACKER.quantity)
 
     def _raise(self, now_s: float, off: Deviation, cause: str) -> None:
+        alarm = self._alarm_of(now_s, off, cause)
+        self._off, self._alarm = True, self._alarm or alarm.text
+        self._safety.alarms.raise_condition(alarm)
+        self._safety.request_hold(alarm.text)
+
+    def _alarm_of(self, now_s: float, off: Deviation, cause: str) -> Alarm:
         (position, attitude), (position_max, attitude_max) = off.sizes, off.bounds
         rotates = attitude / attitude_max > position / position_max
         size, bound = (attitude, attitude_max) if rotates else (position, position_max)
         notes = f", {cause}", ""
-        alarm = table.BENCH_AGAINST_TRACKER.alarm(now_s, NAME, size, bound, rotates=rotates, notes=notes)
-        self._off, self._alarm = True, self._alarm or alarm.text
-        self._safety.alarms.raise_condition(alarm)
-        self._safety.request_hold(alarm.text)
+        return table.BENCH_AGAINST_TRACKER.alarm(now_s, NAME, size, bound, rotates=rotates, notes=notes)

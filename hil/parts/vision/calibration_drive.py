@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -257,5 +257,6 @@ class CameraDriftCheck:
         with temporary_folder("views") as folder:
             write_views(Path(folder), taken)
             views = read_views(Path(folder))
+            views = replace(views, axes=bench_params.ideal_axes(rig, views.axes))
             checked = calibration.check(views, stored, None, False, _RANGE_M, lambda *_: None)
         return checked, calibration.DriftLimits(chosen.max_rms_px, chosen.max_drift_px, chosen.alarm_probability)

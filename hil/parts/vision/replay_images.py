@@ -134,14 +134,15 @@ class _ImageCounter:
         return remarks
 
 
-def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesReplayed:
+def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry, source: str | None = None) -> ImagesReplayed:
     """Return the comparison of the recorded frames with a vision unit's with ``geometry`` on the recorded pairs.
 
     Frames of a rig with wires are compared with the resolution of the wire. Of a lost frame only the status is
-    compared. Raises BadInput.
+    compared. Raises BadInput. source: path of the geometry, unless it is the recording's.
     """
     vmu = recorded.rig.vmu
-    estimator, counter = make_estimator(vmu.estimator, geometry, vmu.estimator_settings), _ImageCounter()
+    estimator = make_estimator(vmu.estimator, geometry, vmu.estimator_settings, source or str(recorded.path))
+    counter = _ImageCounter()
     frames = _Frames(recorded)
     replayed = ImagesReplayed(VMU)
     compared = _Compared([*((name, "m") for name in POSE[:3]), *((name, "rad") for name in POSE[3:]), *_REST])

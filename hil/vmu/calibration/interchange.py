@@ -1,4 +1,4 @@
-"""Calibrations of other programs: YAML of OpenCV, Kalibr's camchain, and camera_info of ROS, read and written.
+"""Calibrations of other programs: files of OpenCV, Kalibr's camchain, and camera_info of ROS, read and written.
 
 All have pixel centres at whole numbers, as geometry files. OpenCV's R, T and Kalibr's T_cn_cnm1 take a point of the
 left camera to the right one, ``p_right = R p_left + T``; a geometry file has the right camera in the left one's frame,
@@ -8,11 +8,13 @@ has ``-fx B`` for a right camera at B. Lengths are metres; OpenCV's are those of
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -23,6 +25,8 @@ from hil.core.files import CONFIG_BYTES, read_text
 from hil.core.messages import Array
 from hil.errors import BadInput
 
+log = logging.getLogger("hil")
+
 Kind = Literal["opencv", "kalibr", "ros"]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 
@@ -30,6 +34,7 @@ _BROWN: Final = ("plumb_bob", "radtan", "rational_polynomial")
 _MATRICES: Final = (("M1", "cameraMatrix1", "K1"), ("M2", "cameraMatrix2", "K2"))
 _DISTORTIONS: Final = (("D1", "distCoeffs1"), ("D2", "distCoeffs2"))
 _TAKEN: Final = 1e-3  # by which a rotation matrix may differ from one
+_CENTRAL: Final = 0.1  # of an image, from its border to the principal point
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -44,7 +49,8 @@ _Loader.add_constructor(
 def read_pair(kind: Kind, paths: Sequence[Path], nominal: VmuGeometry) -> VmuGeometry:
     """Return ``nominal`` with the cameras of a calibration of another program. Raises BadInput.
 
-    paths: one file, or of OpenCV intrinsic and extrinsic parameters, of ROS the left and the right camera.
+    paths: one file, or of OpenCV intrinsic and extrinsic parameters, of ROS the left and the right camera. OpenCV's
+    files may lack the size of the images: it is that of ``nominal``.
     """
     tables = [_table(path) for path in paths]
     if kind == "ros":
@@ -53,7 +59,7 @@ def read_pair(kind: Kind, paths: Sequence[Path], nominal: VmuGeometry) -> VmuGeo
         cameras = _of_ros(paths, tables)
     else:
         source, merged = ",".join(map(str, paths)), {key: value for table in tables for key, value in table.items()}
-        cameras = _of_opencv(source, merged) if kind == "opencv" else _of_kalibr(source, merged)
+        cameras = _of_opencv(source, merged, nominal) if kind == "opencv" else _of_kalibr(source, merged)
     try:
         return VmuGeometry.model_validate(nominal.model_dump(exclude={"calibration"}) | cameras)
     except ValidationError as error:
@@ -111,19 +117,24 @@ def _ros_files(geometry: VmuGeometry) -> dict[str, str]:
     return texts
 
 
-def _of_opencv(source: str, table: Mapping[str, Any]) -> dict[str, Any]:
+def _of_opencv(source: str, table: Mapping[str, Any], nominal: VmuGeometry) -> dict[str, Any]:
     """Return the keys of a geometry file from the matrices of stereoCalibrate."""
-    size = _size(source, table)
-    sides = zip(("left", "right"), _MATRICES, _DISTORTIONS, strict=True)
-    cameras = {
-        side: _camera(source, _array(source, table, matrix, (3, 3)), _list(source, table, distortion), size)
-        for side, matrix, distortion in sides
-    }
+    is_sized = any(key in table for key in ("image_width", "image_size", "imageSize"))
+    cameras = {}
+    for side, matrix, distortion in zip(("left", "right"), _MATRICES, _DISTORTIONS, strict=True):
+        size = _size(source, table) if is_sized else (getattr(nominal, side).width, getattr(nominal, side).height)
+        coefficients = _list(source, table, distortion)
+        if table.get("fisheye_model") or len(coefficients) == 4:
+            text = "4 coefficients, as of cv2.fisheye, which is not supported: of k1 k2 p1 p2 add k3, 0"
+            raise BadInput.single(source, distortion[0], text)
+        cameras[side] = _camera(source, _array(source, table, matrix, (3, 3)), coefficients, size)
     rotation = _array(source, table, ("R",), (3, 3))
     return cameras | _pair(source, rotation, _array(source, table, ("T",), (3, 1)).ravel())
 
 
 def _of_kalibr(source: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    if others := sorted(name for name in table if name not in ("cam0", "cam1")):
+        log.warning("%s: the pair is cam0, left, and cam1, right: %s not used", source, ", ".join(others))
     cameras = {}
     for side, name in (("left", "cam0"), ("right", "cam1")):
         camera = _inner(source, table, name)
@@ -147,11 +158,14 @@ def _of_ros(paths: Sequence[Path], tables: Sequence[Mapping[str, Any]]) -> dict[
         source = str(path)
         if (model := table.get("distortion_model", "plumb_bob")) not in _BROWN:
             raise BadInput.single(source, "distortion_model", f"{model!r}: allowed {', '.join(_BROWN)}")
-        matrix = _array(source, table, ("camera_matrix", "K"), (3, 3))
-        distortion = _list(source, table, ("distortion_coefficients", "D"))
+        _check_whole_image(source, table)
+        matrix = _array(source, table, ("camera_matrix", "K", "k"), (3, 3))
+        distortion = _list(source, table, ("distortion_coefficients", "D", "d"))
         cameras[side] = _camera(source, matrix, distortion, _size(source, table))
-        turns.append(_array(source, table, ("rectification_matrix", "R"), (3, 3)))
-        projection = _array(source, table, ("projection_matrix", "P"), (3, 4))
+        turns.append(_array(source, table, ("rectification_matrix", "R", "r"), (3, 3)))
+        projection = _array(source, table, ("projection_matrix", "P", "p"), (3, 4))
+        if not projection[0, 0] > 0.0:
+            raise BadInput.single(source, "projection_matrix", "its focal length is 0: the camera is not calibrated")
         baselines.append(-projection[0, 3] / projection[0, 0])
     if not abs(baselines[1] - baselines[0]) > 0.0:
         text = "0 for the right camera: calibrate the cameras as a pair, or give left and right in this order"
@@ -159,6 +173,15 @@ def _of_ros(paths: Sequence[Path], tables: Sequence[Mapping[str, Any]]) -> dict[
     left, right = turns
     shift = -right.T @ np.array([baselines[1] - baselines[0], 0.0, 0.0])
     return cameras | _pair(str(paths[1]), right.T @ left, shift)
+
+
+def _check_whole_image(source: str, table: Mapping[str, Any]) -> None:
+    """Raise BadInput for a message of ROS whose images are a part, or binned, of those that were calibrated."""
+    region = table.get("roi")
+    parts = [table.get(key, 0) for key in ("binning_x", "binning_y")]
+    offsets = [region.get(key, 0) for key in ("x_offset", "y_offset")] if isinstance(region, dict) else []
+    if any(part not in (0, 1) for part in parts) or any(offsets):
+        raise BadInput.single(source, "binning, roi", "must be none: calibrate the images as they are evaluated")
 
 
 def _pair(source: str, rotation: Array, shift: Array) -> dict[str, Any]:
@@ -189,6 +212,10 @@ def _camera(source: str, matrix: Array, distortion: Sequence[float], size: tuple
         raise BadInput.single(source, what, "only k1 k2 p1 p2 k3 are supported: calibrate with these")
     numbers = [*distortion[:5], 0.0][:5]
     names = {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
+    if np.abs(matrix[:2, 2] / size - 0.5).max() > 0.5 - _CENTRAL:
+        at = f"{names['cx']:g}, {names['cy']:g} px"
+        text = f"{at}: not near the middle of {size[0]} x {size[1]} px: of another camera mode?"
+        raise BadInput.single(source, "principal point", text)
     size_of = {"width": size[0], "height": size[1]}
     return {name: float(value) for name, value in names.items()} | size_of | {"distortion": tuple(map(float, numbers))}
 
@@ -216,13 +243,32 @@ def _opencv_matrix(name: str, matrix: Array) -> str:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    text = re.sub(r"\A%YAML[:\d. ]*\n(---)?", "", read_text(path, CONFIG_BYTES))
+    text = read_text(path, CONFIG_BYTES).lstrip("\ufeff")
+    if text.lstrip().startswith("<?xml"):
+        return _of_xml(path, text)
     try:
-        table = yaml.load(text, _Loader)
+        documents = list(yaml.load_all(re.sub(r"\A%YAML[:\d. ]*\r?\n(---)?", "", text), _Loader))
+        table = documents[0] if documents[1:] in ([], [None]) else None  # messages that ROS prints end with ---
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise BadInput.single(str(path), "", f"not YAML: {' '.join(str(error).split())[:120]}") from error
     if not isinstance(table, dict):
         raise BadInput.single(str(path), "", "must be a table of keys and values")
+    return table
+
+
+def _of_xml(path: Path, text: str) -> dict[str, Any]:
+    """Return the table of an XML file of OpenCV."""
+    try:
+        if re.search(r"<!(?!--)", text):
+            raise ValueError("it declares a type of document")
+        root = ElementTree.fromstring(text.encode())
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise BadInput.single(str(path), "", f"not XML: {error}") from error
+    table: dict[str, Any] = {}
+    for node in root:
+        words = (node.findtext("data", "") if len(node) else node.text or "").split()
+        is_number = len(words) == 1 and words[0].isdecimal() and not len(node)
+        table[node.tag] = int(words[0]) if is_number else words
     return table
 
 
@@ -234,12 +280,10 @@ def _inner(source: str, table: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 
 def _size(source: str, table: Mapping[str, Any]) -> tuple[int, int]:
-    size = [table.get(key) for key in ("image_width", "image_height")]
+    size = [table.get(f"image_{key}", table.get(key)) for key in ("width", "height")]
     if not all(isinstance(number, int) for number in size):
-        stated = table.get("image_size", table.get("imageSize"))
-        numbers = _numbers(source, "image_width, image_height", stated, 2)
-        size = [int(number) for number in numbers]
-    return size[0], size[1]  # type: ignore[return-value]
+        size = _numbers(source, "image_width, image_height", table.get("image_size", table.get("imageSize")), 2)
+    return int(size[0]), int(size[1])
 
 
 def _numbers(source: str, key: str, value: Any, count: int | None = None) -> list[float]:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.files import MIB, read_bytes, read_text
+from hil.core.csv_table import read_csv
+from hil.core.files import MIB, read_bytes
 from hil.core.image_files import IMAGE_BYTES, decode_grey
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
@@ -36,58 +34,24 @@ def read_views(source: Path) -> Views:
 
     Columns: COLUMNS, and ``left`` and ``right`` if the images are not ``left/VIEW.png`` and ``right/VIEW.png``.
     """
-    table = source / "views.csv" if source.is_dir() else source
-    try:
-        reader = csv.DictReader(io.StringIO(read_text(table, _TABLE_BYTES)), skipinitialspace=True)
-        rows = list(reader)
-        header = [name.strip() for name in reader.fieldnames or ()]
-    except csv.Error as error:
-        raise BadInput.single(str(table), "", f"cannot be read: {error}") from error
-    missing = [name for name in COLUMNS if name not in header]
-    unknown = [name for name in header if name not in (*COLUMNS, *IMAGE_COLUMNS)]
-    if missing or unknown:
-        what = f"column {missing[0]} is missing" if missing else f"unknown column {unknown[0]!r}"
-        raise BadInput.single(str(table), "", f"{what}; columns: {','.join(COLUMNS)}, optional: left,right")
-    problems: list[Problem] = [
-        Problem(str(table), f"line {number}", f"has {len(row[None])} cells more than the header: decimal commas?")
-        for number, row in enumerate(rows, start=2)
-        if None in row
-    ]
-    names, axes, images = [], [], []
-    for number, row in enumerate(rows, start=2):
-        name = (row["view"] or "").strip()
+    path = source / "views.csv" if source.is_dir() else source
+    table = read_csv(path, _TABLE_BYTES, COLUMNS, IMAGE_COLUMNS, "view")
+    names: list[str] = []
+    axes, images = [], []
+    for line, row in table.rows:
+        name = row["view"]
         if not name or name in names:
-            problems.append(Problem(str(table), f"line {number}", f"view {name!r}: must be given, and unique"))
+            table.note(f"line {line}", f"view {name!r}: must be given, and unique")
         names.append(name)
-        axes.append([_number(table, number, column, row[column], problems) for column in COLUMNS[1:]])
-        left, right = ((row.get(side) or "").strip() or f"{side}/{name}.png" for side in IMAGE_COLUMNS)
-        images.append((table.parent / left, table.parent / right))
-    paths = [path for pair in images for path in pair]
-    problems += [Problem(str(path), "", "no such image") for path in paths if not os.path.isfile(path)]
-    if not rows:
-        problems.append(Problem(str(table), "", "contains no view"))
-    if problems:
-        raise BadInput(problems[:1] if len(problems) == 1 else _shortened(problems))
+        axes.append([table.number(line, column, row[column]) for column in COLUMNS[1:]])
+        left, right = (row.get(side) or f"{side}/{name}.png" for side in IMAGE_COLUMNS)
+        images.append((path.parent / left, path.parent / right))
+    missing = [image for pair in images for image in pair if not os.path.isfile(image)]
+    table.problems += [Problem(str(image), "", "no such image") for image in missing]
+    table.check()
     positions = np.array(axes, dtype=float)
     positions[:, 3:] = np.radians(positions[:, 3:])
     return Views(tuple(names), positions, tuple(images))
-
-
-def _shortened(problems: list[Problem]) -> list[Problem]:
-    if len(problems) <= 5:
-        return problems
-    last = problems[4]
-    return [*problems[:4], Problem(last.source, last.key, f"{last.message} (and {len(problems) - 5} more errors)")]
-
-
-def _number(table: Path, line: int, column: str, text: str | None, problems: list[Problem]) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        problems.append(Problem(str(table), f"line {line}, {column}", f"{text!r}: must be a finite number"))
-    return value
 
 
 def read_image(path: Path) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 A request of a client is executed as that of a page: the same lease, the same checks, the same answers. As the
 protocol has no authentication, and pages of other sites can connect to this computer, the command is given only for the
-console's code.
+console's code. A panel cannot send back when the bench was seen, as a page does: an order without ``seen_s`` counts if
+it repeats two digits that were sent at most 5 s before, which no message held by the network does.
 """
 
 from __future__ import annotations
@@ -12,16 +13,18 @@ import importlib.util
 import json
 import secrets
 import socket
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
 from hil.config.load import configs_folder
 from hil.core.child_process import ChildProcess
+from hil.core.typed_answers import ANSWER_S, FreshDigits
 from hil.errors import BadInput
 from hil.parts.console.lease import RequestRejected
 from hil.parts.console.live_view import Client
-from hil.parts.console.service import ConsoleService
+from hil.parts.console.service import WITHOUT_COMMAND, ConsoleService
 from hil.parts.console.session_process import SessionProcess
 from hil.parts.console.strangers import GuessLimiter
 from hil_foxglove.server import OPTION
@@ -52,6 +55,7 @@ class FoxgloveClients:
         self._guesses = GuessLimiter(code) if code is not None else None
         self._rights = "watch" if code is None else "command"
         self._clients: dict[int, Client] = {}
+        self._digits: defaultdict[int, FreshDigits] = defaultdict(FreshDigits)
         self._tasks: set[asyncio.Task[None]] = set()
         self._session: SessionProcess | None = None
         self._page_seen = -1
@@ -188,7 +192,23 @@ class FoxgloveClients:
         except RequestRejected as error:
             where = "the console prints it at its start, or has it in its token file"
             return {"ok": False, "text": f"code: wrong or missing ({error}): {where}"}
+        if "seen_s" not in request and request.get("order") not in WITHOUT_COMMAND:
+            if request["do"] == "jog":
+                return {"ok": False, "text": "jog: seen_s is missing: wall_s of the newest message of /bench"}
+            if request["do"] in ("order", "open"):
+                return await self._confirm(client, request)
         return await self._service.execute(client, {**request, "number": client.requests + 1})
+
+    async def _confirm(self, client: Client, request: dict[str, Any]) -> dict[str, Any]:
+        """Execute an order that repeats the digits sent last; ask for them if it has a question."""
+        digits, typed = self._digits[client.number], str(request.pop("confirmed", ""))
+        refusal = digits.refusal(typed) if typed else ""
+        confirmed = {"confirmed": True} if typed and not refusal else {}
+        answer = await self._service.execute(client, {**request, **confirmed, "number": client.requests + 1})
+        if "ask" in answer:
+            answer["text"] = refusal and f"not taken: the answer {refusal}"
+            answer["ask"] += f" Send confirmed {digits.drawn()} within {ANSWER_S:g} s."
+        return answer
 
     def _end(self) -> None:
         """Report that the process has ended; the console and its session continue."""

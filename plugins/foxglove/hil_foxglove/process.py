@@ -56,16 +56,17 @@ _NICENESS: Final = 5
 
 _FLAG: Final = {"type": "boolean"}
 _CONFIRMED: Final = {"confirmed": _FLAG}
+_DIGITS: Final = {"confirmed": {"type": "integer", "description": "digits of the question; with seen_s true"}}
 _SEEN: Final = {"seen_s": number("s, wall_s of the newest message of the bench")}
 _WHO: Final = {"name": TEXT, "code": TEXT}
 _ORDERS: Final = tuple(each.value for each in OperatorCommand if each.value not in ("stop", "hold", "jog"))
 SERVICES: Final[dict[str, dict[str, Any]]] = {
     **{key: {} for key in ("stop", "hold")},
-    **dict.fromkeys(_ORDERS, _CONFIRMED | _SEEN),
+    **dict.fromkeys(_ORDERS, _DIGITS | _SEEN),
     "take": _WHO,
     "take_over": _WHO | _CONFIRMED,
     "release": {},
-    "open": {"scenario": TEXT, "rig": TEXT, "seed": {"type": "integer"}, **_CONFIRMED, **_SEEN},
+    "open": {"scenario": TEXT, "rig": TEXT, "seed": {"type": "integer"}, **_DIGITS, **_SEEN},
     "acknowledge": {},
     "jog": {"axis": TEXT, "direction": {"type": "integer"}, **_SEEN},
     "fault": {"device": TEXT, "line": TEXT},

@@ -33,10 +33,10 @@ def test_session_is_commanded_tuned_and_held_from_foxglove_and_replays_bit_by_bi
             until("off")
             assert ann.call("/hil/take", name="ann", code=found[2])["ok"]
             assert "confirmed" not in ann.call("/hil/open")
-            assert ann.call("/hil/open", confirmed=True)["ok"]
+            assert ann.confirm("/hil/open")["ok"]
             until("standby")
             for order, mode in (("arm", "armed"), ("start", "running")):
-                assert ann.call(f"/hil/{order}", confirmed=True)["ok"]
+                assert ann.confirm(f"/hil/{order}")["ok"]
                 until(mode)
             ann.until(lambda: len(ann.of("/cycle")) > 100, "cycles")
             for topic in ("/state", "/tf", "/vmu/frames", "/scene"):
@@ -47,7 +47,8 @@ def test_session_is_commanded_tuned_and_held_from_foxglove_and_replays_bit_by_bi
             assert bob.call("/hil/hold")["ok"]
             until("hold")
             assert "ann has the command" in bob.call("/hil/resume", confirmed=True)["text"]
-            assert ann.call("/hil/resume", confirmed=True)["ok"]
+            assert "digits that are shown" in ann.call("/hil/resume", confirmed=True)["text"]
+            assert ann.confirm("/hil/resume")["ok"]
             until("running")
             assert bob.call("/hil/stop")["ok"]
             ann.until(lambda: not ann.of("/bench")[-1].json["open"], "the end")

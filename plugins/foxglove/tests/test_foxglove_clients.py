@@ -7,6 +7,7 @@ import base64
 import json
 import math
 import os
+import re
 import socket
 import threading
 import time
@@ -154,7 +155,10 @@ def test_command_is_held_while_the_client_watches_and_expires_when_it_is_gone(de
     client.until(lambda: bool(client.of(BENCH_TOPIC)), "a message")
     assert client.call("/hil/take", name="ann", code=CODE) == {"ok": True, "text": ""}
     assert "confirmed" in json.dumps(SERVICES["open"])
-    assert client.call("/hil/open")["ask"].startswith("Open: the devices open")
+    question = client.call("/hil/open")["ask"]
+    assert question.startswith("Open: the devices open")
+    assert re.search(r" Send confirmed \d\d within 5 s\.$", question)
+    assert "seen_s is missing" in client.call("/hil/jog", axis="rails.x", direction=1)["text"]
     client.during(0.5)
     client.until(lambda: desk.service.lease.silent_s(time.monotonic()) < 0.4, "the lease's renewal")
     client.close()

@@ -33,8 +33,10 @@ def pose_of(params: np.record, axes: Array) -> tuple[Array, Array]:
     return r, quat.to_matrix(q).T
 
 
-def axes_for(params: np.record, r: Array, r_hc: Array) -> Array:
+def axes_for(params: np.record, r: Array, r_hc: Array, earlier: Array | None = None) -> Array:
     axes, rest = new(AXES), np.zeros(3)
+    if earlier is not None:
+        axes.rail_m, axes.gimbal_rad = earlier[:3], earlier[3:]
     axes_of_pose(params, r, rest, quat.from_matrix(r_hc.T.copy()), rest, axes)
     return np.concatenate([axes.rail_m, axes.gimbal_rad])
 
@@ -111,6 +113,14 @@ def test_compensated_axes_show_the_pose(mock_rig: Rig, size: float) -> None:
         shown, shown_turn = pose_of(params, axes_for(params, r, turn))
         assert np.abs(shown - r).max() < max(1.5e-5, 2.5e-6 * size)
         assert angle(shown_turn, turn) < max(1e-5, 1e-6 * size)
+
+
+@pytest.mark.parametrize("off_m", [1e-3, 0.04, 5.0, np.nan])
+def test_an_earlier_solution_leads_to_the_same_axes(mock_rig: Rig, off_m: float) -> None:
+    params = machine(mock_rig, 3.0 * twelve_errors(4))
+    for axes in axes_within(mock_rig, 50, 5):
+        r, turn = pose_of(params, axes)
+        assert np.abs(axes_for(params, r, turn, axes + off_m) - axes).max() < 2e-5
 
 
 def test_zero_offsets_and_the_pose_of_the_rails_may_be_large(mock_rig: Rig) -> None:

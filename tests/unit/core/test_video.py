@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -113,6 +114,30 @@ def test_cut_video_is_truncated(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(BadInput, match=r"truncated or damaged: .* complete images, 12 expected"):
         list(Video(path))
+
+
+def cut_by_edit_list(path: Path, length_s: float, from_: int, rate_hz: int = RATE_HZ) -> Path:
+    """Let the file begin with image ``from_`` and end after ``length_s``, as programs cut without encoding."""
+    content = bytearray(path.read_bytes())
+    last = content.find(b"elst") + 12 * int.from_bytes(content[content.find(b"elst") + 8 :][:4], "big")
+    times_per_s = 512 * rate_hz  # of the writer
+    _, begin = struct.unpack_from(">Ii", content, last)
+    struct.pack_into(">Ii", content, last, round(1000 * length_s), begin + from_ * times_per_s // rate_hz)
+    path.write_bytes(bytes(content))
+    return path
+
+
+@pytest.mark.parametrize("start", [0, 50])
+@pytest.mark.parametrize(("first", "number"), [(0, 6), (6, 6), (5, 4), (0, 12)])
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "libx264"), ("a.mov", "prores_ks"), ("a.mp4", "mpeg4")])
+def test_edit_list_leaves_its_images(
+    tmp_path: Path, name: str, codec: str, first: int, number: int, start: int
+) -> None:
+    pix_fmt, options = ("yuv422p10le", {}) if codec == "prores_ks" else ("yuv420p", {"g": "4"})
+    path = written(tmp_path / name, range(start, start + 12), codec, pix_fmt, options=options)
+    found = list(Video(cut_by_edit_list(path, number / RATE_HZ, first)))
+    assert [bar_of(each.image) for each in found] == list(range(first, first + number))
+    np.testing.assert_allclose([each.t_s for each in found], (start + np.arange(number)) / RATE_HZ, atol=1e-3)
 
 
 def test_pairs_of_two_videos_have_the_same_times(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.drivers.cameras.camera_clock import CameraClock
+from hil.drivers.cameras.pairing import Pairing, TimedFrame
 
 PERIOD_S = 0.16
 OFFSET_S = 1234.5  # bench time less camera time
@@ -77,3 +78,44 @@ def test_no_time_is_given_before_the_clock_is_known() -> None:
     clock = CameraClock(0.0, triggered=True)
     clock.add(stamp(0.0), 0.01, [0.0])
     assert math.isnan(clock.exposed_s(stamp(0.0)))
+
+
+def transit_s(rng: np.random.Generator) -> float:
+    """Return the time of one image from its exposure to its arrival: read-out, and a network that is not alone."""
+    return 0.018 + rng.exponential(3e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [6.25, 20.0, 30.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_two_cameras_without_stamps_make_pairs_with_times_of_exposure(rate_hz: float, seed: int) -> None:
+    """Software triggers: the times are those of the triggers; a frame that is not certain is left out."""
+    rng, pairing = np.random.default_rng(seed), Pairing(0.005, 0.05, rate_hz)
+    clocks = [CameraClock(0.0, triggered=True) for _ in range(2)]
+    arrivals: list[tuple[float, int, int]] = []
+    triggers: tuple[list[float], list[float]] = ([], [])
+    true_s: list[list[float]] = [[], []]
+    for k in range(600):
+        for side in range(2):
+            triggers[side].append(k / rate_hz + rng.exponential(2e-4))
+            true_s[side].append(triggers[side][-1] + 1e-4 + rng.exponential(5e-4))
+            arrivals.append((true_s[side][-1] + transit_s(rng), side, k))
+    errors_s = []
+    for arrived_s, side, k in sorted(arrivals):
+        recent = [t_s for t_s in triggers[side][max(0, k - 3) : k + 4] if t_s <= arrived_s]
+        exposed_s = clocks[side].unstamped_s(arrived_s, recent)
+        if math.isfinite(exposed_s):
+            errors_s.append(exposed_s - true_s[side][k])
+            pairing.put(side, TimedFrame(exposed_s, arrived_s, k + 1, None))
+        for _ in pairing.pairs(arrived_s):
+            pass
+    assert np.abs(errors_s).max() < 5e-3
+    assert pairing.counters["pairs"] > 0.93 * 600
+    assert pairing.counters["odd_numbers"] == 0
+
+
+def test_frame_without_stamp_and_trigger_is_as_old_as_by_the_rig_file(rng: np.random.Generator) -> None:
+    clock, errors_s = CameraClock(0.02, triggered=False), []
+    for k in range(1000):
+        exposed_s = k * PERIOD_S
+        errors_s.append(clock.unstamped_s(exposed_s + 0.02 + rng.exponential(1e-3)) - exposed_s)
+    assert np.percentile(errors_s, 99) < 5e-3

@@ -90,10 +90,10 @@ SLIPS = {
     "doubled option": lambda text: text.replace("LSS_Supported=0", "LSS_Supported=0\nLSS_Supported=1"),
     "doubled option of an object": lambda text: text.replace("[6081]\n", "[6081]\nDataType=0x0006\n"),
     "doubled section": lambda text: text + "\n[6081]\nParameterName=Profile velocity\n",
-    "wrong count of objects": lambda text: text.replace("SupportedObjects=38", "SupportedObjects=7"),
-    "count that is no number": lambda text: text.replace("SupportedObjects=38", "SupportedObjects=many"),
+    "wrong count of objects": lambda text: text.replace("SupportedObjects=39", "SupportedObjects=7"),
+    "count that is no number": lambda text: text.replace("SupportedObjects=39", "SupportedObjects=many"),
     "wrong count of sub-indices": lambda text: text.replace("SubNumber=5", "SubNumber=2"),
-    "listed without a section": lambda text: text.replace("38=0x6502", "38=0x6502\n39=0x2FFF"),
+    "listed without a section": lambda text: text.replace("39=0x6502", "39=0x6502\n40=0x2FFF"),
     "type of a maker": lambda text: text + "\n[2000]\nParameterName=Own\nDataType=0x0040\nAccessType=ro\n",
     "type that is no number": lambda text: text + "\n[2000]\nParameterName=Own\nDataType=real\nAccessType=ro\n",
     "default that is no number": lambda text: text + "\n[2000]\nDataType=0x0007\nDefaultValue=1.5\n",
@@ -165,9 +165,18 @@ def test_transmission_of_setpoints_that_is_fixed_is_used_as_it_is(tmp_path) -> N
 
 
 def test_fixed_mapping_of_another_object_is_refused(tmp_path) -> None:
-    fixed = section("1601sub1").replace("AccessType=rw", "AccessType=ro\nDefaultValue=0x60FF0020")
-    with pytest.raises(BadInput, match=r"\[1601sub1\] AccessType: ro: the driver maps 0x6040 there, allowed: rw"):
-        Eds(altered(tmp_path, (section("1601sub1"), fixed)))
+    changes = []
+    for number in ("1600", "1601"):
+        fixed = section(f"{number}sub1").replace("AccessType=rw", "AccessType=ro\nDefaultValue=0x60FF0020")
+        changes.append((section(f"{number}sub1"), fixed))
+    with pytest.raises(BadInput, match=r"\[1600sub1\] AccessType: ro: the driver maps 0x607A there, allowed: rw"):
+        Eds(altered(tmp_path, *changes))
+
+
+def test_fixed_identifier_of_another_use_is_refused(tmp_path) -> None:
+    fixed = section("1800sub1").replace("AccessType=rw", "AccessType=ro").replace("0x80000000", "$NODEID+0x380")
+    with pytest.raises(BadInput, match=r"\[1800sub1\] AccessType: ro, DefaultValue: 0x380: the driver needs 0x180"):
+        Eds(altered(tmp_path, (section("1800sub1"), fixed), (section("1801sub1"), "")))
 
 
 @pytest.mark.parametrize("text", ["", "[6040]\nParameterName=x\n", "no sections at all", "[DeviceInfo]\n[6040\n"])

@@ -69,6 +69,13 @@ def test_all_kinds_give_the_same_field(tmp_path: Path) -> None:
         assert (field.gm, field.radius) == (shipped.gm, shipped.radius)
 
 
+def test_free_text_before_the_header_is_no_key(tmp_path: Path) -> None:
+    lines = ["radius 1.0 of what was measured", "max_degree of this product: see below", *gfc_lines()]
+    assert read(write(tmp_path / "a.gfc", lines)).radius == reference.RADIUS_M
+    lines = [*lines[:2], "product_type of others", "begin_of_head ====", *gfc_lines()[2:]]
+    assert read(write(tmp_path / "b.gfc", lines)).degree == 8
+
+
 def test_columns_of_a_high_degree_may_touch(tmp_path: Path) -> None:
     lines = ["POTFIELD120120  1 4.90280105600000e+12 1.73800000000000e+06 1.00000000000000E+00"]
     lines += [f"RECOEF{n:5d}{m:3d}   {1e-9:21.14E}{-n * 1e-9:21.14E}" for n in range(2, 121) for m in range(n + 1)]
@@ -118,6 +125,8 @@ def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
         ("moon.grv", ["product_type gravity_field"], "unknown format .grv"),
         ("moon.gfc", ["product_type gravity_field"], "no end_of_head line"),
         ("moon.gfc", [*gfc_lines()[:7], "norm unnormalized", *gfc_lines()[8:]], "the coefficients are unnormalized"),
+        ("moon.gfc", [*gfc_lines(), "gfc 0 0 0.999 0.0"], "degree 0, order 0 is given twice"),
+        ("moon.gfc", [line.replace("0    0    1.0", "0    0    0.999") for line in gfc_lines()], "degree 0: 0.999"),
         ("moon.gfc", [*gfc_lines(), "gfct 2 0 1e-4 0.0 0 0 19500101"], "gfct: changes with time"),
         ("moon.gfc", [*gfc_lines()[:6], *gfc_lines()[7:]], "max_degree: is missing"),
         ("moon.gfc", [*gfc_lines(), "gfc 2 0 1e-4 0.0"], "degree 2, order 0 is given twice, with other numbers"),

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.config.bench_geometry import load_bench_geometry
 from hil.config.load import load_rig
 from hil.config.rig import Rig
-from hil.config.tables.machine import NAMES
+from hil.config.tables.machine import NAMES, PARAMETERS
 from hil.core.messages import Array
 from hil.errors import BadInput
+from hil.params.bench import ideal_axes
 from hil.parts.geometry.check import GeometryDrift, append_to_chart, check
 from hil.parts.geometry.fit import fit, geometry_file
 from hil.parts.geometry.model import MachineModel
@@ -92,6 +94,18 @@ def test_swapped_bodies_are_named(rig: Rig) -> None:
 def test_a_check_needs_a_geometry_file() -> None:
     with pytest.raises(BadInput, match="geometry_file"):
         checked(PLAIN)
+
+
+def test_an_ideal_machine_shows_the_same_at_its_axes(rig: Rig) -> None:
+    axes = axes_within(rig, 20, 3)
+    ideal = ideal_axes(rig, axes)
+    shown = MachineModel(PLAIN).observed(np.zeros(PARAMETERS), ideal, "tracker")
+    measured = MachineModel(rig).observed(
+        load_bench_geometry(str(rig.bench.geometry_file)).parameters.vector, axes, "tracker"
+    )
+    assert np.abs(shown - measured).max() < 1e-12
+    assert np.abs(ideal - axes).max() > 1e-3
+    assert ideal_axes(PLAIN, axes) is axes
 
 
 def test_the_chart_warns_of_what_leaves_the_earlier_checks(rig: Rig, tmp_path: Path) -> None:

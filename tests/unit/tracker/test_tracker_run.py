@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,14 @@ import numpy as np
 import pytest
 
 import hil
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.core.part import used_parts
-from hil.errors import BadInput
+from hil.drivers.mock_axes import MockAxes
+from hil.errors import BadInput, SafetyTrip
+from hil.loop.session_parts import SessionParts
+from hil.parts.tracker.session import TrackerWatch
 from hil.report.section import sections_of
+from hil.session.build import Job, runner
 
 TRACKER: dict[str, Any] = {
     "rig.tracker.driver": "mock", "rig.tracker.chaser.body": 1, "rig.tracker.target.body": 2,
@@ -62,6 +67,41 @@ def test_tracker_that_sees_nothing_gives_no_verdict() -> None:
     run = hil.run("scheme-1", duration_s=5.0, overrides={**TRACKER, "rig.tracker.faults": fault})
     assert run.summary["withheld"] == "tracker: no sample could be compared"
     assert [each["code"] for each in run.summary["alarms"]] == ["samples"]
+
+
+def standing(*settings: str) -> list[bool]:
+    """Return what the comparison before the first motion returns in each cycle, of a bench that stands."""
+    keys = [*(f"{key}={json.dumps(value)}" for key, value in TRACKER.items()), *settings]
+    job = Job(load_scenario("scheme-1"), load_rig("mock", keys), 1, 1.0, 1.0)
+    with runner(job) as opened:
+        watch = TrackerWatch(job, SessionParts())
+        watch.begin(opened)
+        rails, turntable, feedback = opened.loop.bench.rails, opened.loop.bench.turntable, opened.loop.now.feedback
+        assert isinstance(rails, MockAxes)
+        assert isinstance(turntable, MockAxes)
+        feedback.rail_m, feedback.gimbal_rad = rails.servo.position, turntable.servo.position
+        done = [False]
+        while not done[-1]:
+            done.append(watch.check_standing(0.02 * (len(done) - 1), feedback))
+        watch.close()
+    return done[1:]
+
+
+def test_comparison_before_motion_takes_half_a_second_of_samples_and_leaves_a_silent_tracker_to_the_run() -> None:
+    assert 50 < len(standing()) < 70  # the target is measured first
+    assert len(standing('rig.tracker.faults=[{kind = "no_pose", at_s = 0.0}]')) == 151
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ("rig.bench.errors.reference_m=[0.0, 0.015, 0.0]", r"bench against tracker off by 0.01[45]\d m"),
+        ("rig.bench.errors.reference_m=[0.0, 0.15, 0.0]", "bench against tracker off by more than its gate"),
+    ],
+)
+def test_mounting_that_is_off_is_refused_before_motion(wrong: str, text: str) -> None:
+    with pytest.raises(SafetyTrip, match=text):
+        standing(wrong)
 
 
 def test_run_without_the_table_does_not_use_the_part() -> None:

@@ -29,14 +29,15 @@ T = np.array([-0.21, 0.004, 0.02])
 POINTS = np.array([[0.1, -0.05, 1.2], [-0.2, 0.1, 1.8], [0.0, 0.0, 2.5]])
 
 
-def opencv_file(path: Path, shift: Any = T) -> Path:
-    """Write the result of stereoCalibrate by OpenCV itself."""
+def opencv_file(path: Path, shift: Any = T, names: tuple[str, ...] = ("M1", "D1", "M2", "D2", "R", "T")) -> Path:
+    """Write the result of stereoCalibrate by OpenCV itself; names: of its matrices, some alone without the size."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    storage.write("image_width", SIZE[0])
-    storage.write("image_height", SIZE[1])
+    if len(names) == 6:
+        storage.write("image_width", SIZE[0])
+        storage.write("image_height", SIZE[1])
     matrices = {"M1": MATRICES[0], "D1": BENT[0], "M2": MATRICES[1], "D2": BENT[1], "R": R, "T": shift}
-    for name, value in matrices.items():
-        storage.write(name, np.atleast_2d(value))
+    for name in names:
+        storage.write(name, np.atleast_2d(matrices[name]))
     storage.release()
     return path
 
@@ -72,6 +73,25 @@ def ros_files(folder: Path) -> list[Path]:
     return paths
 
 
+def ros_messages(folder: Path) -> list[Path]:
+    """Write camera_info as ``ros2 topic echo --once`` prints it."""
+    names = {
+        "camera_matrix": "k",
+        "distortion_coefficients": "d",
+        "rectification_matrix": "r",
+        "projection_matrix": "p",
+    }
+    paths = []
+    for path in ros_files(folder):
+        table = yaml.safe_load(path.read_text())
+        message: dict[str, Any] = {"height": SIZE[1], "width": SIZE[0], "distortion_model": "rational_polynomial"}
+        message |= {short: table[name]["data"] for name, short in names.items()}
+        message |= {"d": [*message["d"], 0.0, 0.0, 0.0], "binning_x": 0, "binning_y": 0, "roi": {"x_offset": 0}}
+        paths.append(path.with_name(f"echo-{path.name}"))
+        paths[-1].write_text(f"{yaml.safe_dump(message)}---\n")
+    return paths
+
+
 def pixels(found: VmuGeometry) -> list[np.ndarray]:
     """Return where both cameras of a geometry file see POINTS of the left camera."""
     pair = camera_pair(found)
@@ -94,7 +114,17 @@ def test_cameras_of_each_program_see_what_opencv_projects(tmp_path: Path) -> Non
     without_k3 = [bent * [1, 1, 1, 1, 0] for bent in BENT]
     for kind, paths, bent in (
         ("opencv", [opencv_file(tmp_path / "stereo.yml")], BENT),
+        ("opencv", [opencv_file(tmp_path / "stereo.xml")], BENT),
+        (
+            "opencv",
+            [
+                opencv_file(tmp_path / "s.yml", names=("M1", "D1", "M2", "D2")),
+                opencv_file(tmp_path / "extrinsics.yml", names=("R", "T")),
+            ],
+            BENT,
+        ),
         ("kalibr", [kalibr_file(tmp_path / "camchain.yaml")], without_k3),
+        ("ros", ros_messages(tmp_path), BENT),
         ("ros", ros_files(tmp_path), BENT),
     ):
         found = read_pair(kind, paths, geometry(None))  # type: ignore[arg-type]
@@ -134,6 +164,45 @@ def test_calibration_that_cannot_be_used_is_one_line(tmp_path: Path, old: str, n
         read_pair("kalibr", [path], geometry(None))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("rational_polynomial", "equidistant", "distortion_model: 'equidistant': allowed plumb_bob"),
+        ("binning_x: 0", "binning_x: 2", "binning, roi: must be none"),
+        ("x_offset: 0", "x_offset: 64", "binning, roi: must be none"),
+        ("width: 640", "width: 320", "principal point: 318.2, 241 px"),
+        ("width: 640", "breadth: 640", "image_width, image_height: is missing"),
+    ],
+)
+def test_message_of_ros_that_cannot_be_used_is_one_line(tmp_path: Path, old: str, new: str, words: str) -> None:
+    paths = ros_messages(tmp_path)
+    assert old in paths[0].read_text()
+    paths[0].write_text(paths[0].read_text().replace(old, new, 1))
+    with pytest.raises(BadInput) as caught:
+        read_pair("ros", paths, geometry(None))
+    assert words in str(caught.value)
+
+
+def test_fisheye_cameras_of_opencv_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.yml"
+    for coefficients in ("[ -0.02, 0.01, 0.003, -0.001 ]", "[ -0.02, 0.01, 0.003, -0.001, 0. ]\nfisheye_model: 1"):
+        text = opencv_file(path).read_text()
+        begin = text.index("D2:")
+        end = text.index("R:")
+        values = f"D2: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {coefficients}\n"
+        path.write_text(text[:begin] + values + text[end:])
+        with pytest.raises(BadInput, match=r"stereo\.yml: D[12]: 4 coefficients, as of cv2\.fisheye"):
+            read_pair("opencv", [path], geometry(None))
+
+
+def test_further_cameras_of_a_chain_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = kalibr_file(tmp_path / "c.yaml")
+    chain = yaml.safe_load(path.read_text())
+    path.write_text(yaml.safe_dump(chain | {"cam2": chain["cam1"]}))
+    read_pair("kalibr", [path], geometry(None))
+    assert "the pair is cam0, left, and cam1, right: cam2 not used" in caplog.text
 
 
 def test_baseline_in_millimetres_is_refused_and_the_command_writes_the_file(

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hil.cli.main import PASSED, execute
+from hil.cli.main import BAD_INPUT, PASSED, execute
 from hil.config.load import load_geometry
 from hil.errors import BadInput
 from hil.vmu.estimators import FlatTarget, PoseEstimate, make_estimator
@@ -20,11 +20,11 @@ from hil.vmu.prints import AprilTagSettings, CharucoSettings
 from tests.support.vmu_pixels import Array, Image
 from tests.unit.vmu.test_pose_estimators import error, geometry, pair
 
-# cells of tags 0 to 3 of the AprilTag library 3.4 (tag16h5.c, tag25h9.c, tag36h11.c), row by row, 1 for white
+# cells of tags 0 to 5 of the AprilTag library (tag16h5, tag25h9, tag36h11), row by row, 1 for white
 CELLS = {
-    "16h5": (4, (0x231B, 0x2EA5, 0x346A, 0x45B9)),
-    "25h9": (5, (0x155CBF1, 0x1E4D1B6, 0x17B0B68, 0x1EAC9CD)),
-    "36h11": (6, (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98)),
+    "16h5": (4, (0x231B, 0x2EA5, 0x346A, 0x45B9, 0x79A6, 0x7F6B)),
+    "25h9": (5, (0x155CBF1, 0x1E4D1B6, 0x17B0B68, 0x1EAC9CD, 0x12E14CE, 0x3548BB)),
+    "36h11": (6, (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC)),
 }
 TWO = ((0, 0.12, -0.11, 0.0), (2, 0.12, 0.11, 0.02))
 TURN, AT = np.array([0.2, -0.25, 0.4]), np.array([0.1, 0.02, 0.9])
@@ -76,7 +76,7 @@ def test_official_print_of_a_single_tag_has_its_attitude(family: str) -> None:
 
 
 @pytest.mark.parametrize("family", sorted(CELLS))
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(6))
 def test_tags_drawn_here_are_the_official_ones(family: str, number: int) -> None:
     cells = CELLS[family][0] + 2
     drawn = AprilTagSettings(family=family).marker(number, "official", cells)
@@ -169,7 +169,11 @@ def test_command_measures_tags_by_the_estimator_of_a_rig(tmp_path: Path, capsys:
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert [row["status"] for row in rows] == ["ok", "rejected_print"]
     assert float(rows[0]["z_m"]) == pytest.approx(AT[2], abs=0.01)
-    assert "rejected_print: the target fits several prints" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f'or not the stated one: state print = "official" or "opencv" in {made}' in " ".join(said.split())
+    rig.write_text('extends = "mock"\nvmu.estimator = "apriltag"\n')
+    assert execute(command) == BAD_INPUT
+    assert f"{made}: print: is missing: a single tag has one pose for" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,8 @@ def _setpoints_hz(turntable: Turntable) -> float:
     line = turntable.ascii or AsciiTurntableLine()
     if is_tcp(line.port or ""):
         return math.inf
-    return line.baud / (_BITS_PER_BYTE * AsciiProtocol(load_protocol(line.protocol).value).exchange_bytes())
+    size, replies = AsciiProtocol(load_protocol(line.protocol).value).exchange_size()
+    return 1.0 / (_BITS_PER_BYTE * size / line.baud + replies * line.adapter_latency_s)
 
 
 def _identity(turntable: Turntable) -> dict[str, str]:

@@ -200,16 +200,14 @@ class AsciiProtocol:
         """Return the reply to a request, b"" if the command set has none."""
         return b"" if line.reply is None else self.replies.encode(sequence, line.reply.write(values, axis))
 
-    def exchange_bytes(self) -> int:
-        """Return the bytes of an exchange of setpoints and feedback, both directions, with all numbers zero."""
+    def exchange_size(self) -> tuple[int, int]:
+        """Return bytes, both directions, and number of replies of an exchange, with all numbers zero."""
         zero: FieldValues = defaultdict(float)
         actions = ("set",) if self.set_reports_all else ("set", "status")
-        return sum(
-            len(self.request(0, line, axis, zero)) + len(self.reply(0, line, axis, zero))
-            for action in actions
-            for line in self.lines[action]
-            for axis in line.axes
-        )
+        lines = [(line, axis) for action in actions for line in self.lines[action] for axis in line.axes]
+        replies = [self.reply(0, line, axis, zero) for line, axis in lines]
+        size = sum(len(self.request(0, line, axis, zero)) for line, axis in lines) + sum(map(len, replies))
+        return size, sum(map(bool, replies))
 
     def refusal(self, sequence: int, number: int) -> bytes:
         """Return the error reply, b"" if the command set has none."""

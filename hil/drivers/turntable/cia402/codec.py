@@ -72,6 +72,7 @@ FOLLOWING_ERROR_WINDOW: Final = 0x6065  # counts; UNLIMITED_WINDOW: no supervisi
 FOLLOWING_ERROR_TIME_OUT: Final = 0x6066  # ms
 UNLIMITED_WINDOW: Final = 0xFFFF_FFFF
 VELOCITY_ACTUAL: Final = 0x606C
+MAX_TORQUE: Final = 0x6072  # per mille of the rated torque
 TARGET_POSITION: Final = 0x607A
 PROFILE_VELOCITY: Final = 0x6081
 PROFILE_ACCELERATION: Final = 0x6083
@@ -177,6 +178,13 @@ class Pdo:
     mapping: tuple[tuple[int, int, int], ...]
 
 
+def numbered(pdo: Pdo, number: int) -> Pdo:
+    """Return ``pdo`` as number 0 to 3 of its direction."""
+    step = number - (pdo.parameter & 0x1FF)
+    identifier = pdo.identifier + 0x100 * step
+    return replace(pdo, parameter=pdo.parameter + step, mapping_index=pdo.mapping_index + step, identifier=identifier)
+
+
 _POSITION, _VELOCITY = (POSITION_ACTUAL, 0, 32), (VELOCITY_ACTUAL, 0, 32)
 SETPOINT_PDO: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 0, 32), (VELOCITY_OFFSET, 0, 32)))
 SETPOINT_PDO_PLAIN: Final = replace(SETPOINT_PDO, mapping=((TARGET_POSITION, 0, 32),))
@@ -186,6 +194,11 @@ FEEDBACK_PDO: Final = Pdo(0x1800, 0x1A00, TPDO1_ID, 1, (_POSITION, _VELOCITY))
 FEEDBACK_PDO_PLAIN: Final = replace(FEEDBACK_PDO, mapping=(_POSITION,))
 STATUS_PDO: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 0, 16), (DIGITAL_INPUTS, 0, 32)))
 STATUS_PDO_PLAIN: Final = replace(STATUS_PDO, mapping=((STATUSWORD, 0, 16),))
+COMMAND_PDO: Final = replace(CONTROL_PDO, mapping=(*CONTROL_PDO.mapping, (TARGET_POSITION, 0, 32)))
+INTERPOLATED_COMMAND_PDO: Final = replace(CONTROL_PDO, mapping=(*CONTROL_PDO.mapping, *INTERPOLATION_PDO.mapping))
+REPORT_PDO: Final = replace(STATUS_PDO, transmission=1, mapping=(*STATUS_PDO_PLAIN.mapping, _POSITION))
+"""PDOs of a drive that has no two of them to map: control and setpoint in one, statusword and position in one."""
+PDOS_OF_A_NODE: Final = 4  # in each direction, with identifiers of the predefined connection set
 PDO_PARAMETERS: Final = frozenset((*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
 
 PDO_EVENT_TIMER: Final = 5  # sub-index, ms: a TPDO is sent, an RPDO is due at least this often

@@ -62,8 +62,7 @@ class Cia402Link:
             base + node.node_id: handler
             for node in self._nodes
             for base, handler in (
-                (codec.TPDO1_ID, node.on_feedback),
-                (codec.TPDO2_ID, node.on_status),
+                *zip((pdo.identifier for pdo in self._eds.reports), node.report_handlers(self._eds), strict=True),
                 (codec.EMCY_ID, node.on_emergency),
                 (codec.HEARTBEAT_ID, node.on_heartbeat),
             )
@@ -178,7 +177,7 @@ class Cia402Link:
         setpoints = [node.setpoint() for node in self._nodes]
         for node in self._nodes:
             node.answered = False
-        port.send(*controls, *setpoints, (self._sync_id, b""))
+        port.send(*dict.fromkeys((*controls, *setpoints)), (self._sync_id, b""))
         return self._collect(port, self._clock.now_s())
 
     def home(self) -> None:
@@ -187,6 +186,16 @@ class Cia402Link:
             if node.homing is not Homing.DONE:
                 node.homing = Homing.UNDER_WAY
                 self._slow_steps.append(node.begin_homing)
+
+    def limit_torque(self, axis: int, reduced: bool) -> None:
+        """Start to reduce the torque limit of the drive of ``axis``, or to restore it."""
+        node = self._nodes[axis]
+        node.torque = ""
+        self._slow_steps.append(partial(node.limit_torque, reduced))
+
+    def torque_limit(self, axis: int) -> str:
+        """Return the result, "" before there is one."""
+        return self._nodes[axis].torque
 
     def move_to(self, position: Array, rate: Array) -> None:
         """Start profiled moves to position (n,), rad, at most at rate (n,), rad/s."""
@@ -231,6 +240,8 @@ class Cia402Link:
         port, self._port = self._port, None
         if port is None:
             return
+        for node in self._nodes:
+            node.restore_torque()
         with contextlib.suppress(DeviceError):  # the bus may be gone
             self._command_nodes(port, codec.NMT_STOP)
         port.close()
@@ -329,3 +340,11 @@ class Cia402Turntable(CyclicAxisGroup):
     def facts(self) -> list[str]:
         """Return mode, units and watchdog of each opened drive, a line each."""
         return self._drives.facts()
+
+    def limit_torque(self, axis: int, reduced: bool) -> None:
+        """Start to reduce the torque limit of the drive of ``axis``, or to restore it."""
+        self._drives.limit_torque(axis, reduced)
+
+    def torque_limit(self, axis: int) -> str:
+        """Return what became of that, "" before it is done."""
+        return self._drives.torque_limit(axis)

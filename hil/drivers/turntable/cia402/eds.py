@@ -38,7 +38,11 @@ _STREAMS: Final = {
     codec.INTERPOLATED_POSITION: (codec.INTERPOLATION_DATA, 1),
 }
 """Modes that follow setpoints, in the order in which they are preferred, and the object of the setpoint."""
-_PDOS: Final = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
+_FUNCTION: Final = 0x780  # bits of an identifier apart from the node id
+_COMMANDS: Final = (codec.SETPOINT_PDO_PLAIN, codec.CONTROL_PDO, codec.COMMAND_PDO)
+_INTERPOLATED_COMMANDS: Final = (codec.INTERPOLATION_PDO, codec.CONTROL_PDO, codec.INTERPOLATED_COMMAND_PDO)
+_REPORTS: Final = (codec.FEEDBACK_PDO_PLAIN, codec.STATUS_PDO_PLAIN, codec.REPORT_PDO)
+"""PDOs of each direction: two, and the one that replaces them."""
 
 
 def _bits(index: int, subindex: int) -> int | None:
@@ -59,6 +63,11 @@ class Eds:
         self.path = path
         sheet = read_data_sheet(path)
         self.variables, self.notes = sheet.variables, sheet.notes
+        interpolates = self.streams[:1] == [codec.INTERPOLATED_POSITION]
+        self.commands = self._arranged(*_INTERPOLATED_COMMANDS if interpolates else _COMMANDS)
+        """PDOs of setpoint and controlword; one for both if the drive cannot have two."""
+        self.reports = self._arranged(*_REPORTS)
+        """PDOs of position and statusword; one for both if the drive cannot have two."""
         if problems := [*self._problems(homing)]:
             raise BadInput([Problem(str(path), *text.split(": ", 1)) for text in problems])
 
@@ -110,7 +119,7 @@ class Eds:
 
     def other_pdos(self) -> list[tuple[int, int]]:
         """Return the identifier entries of the PDOs that the driver does not use."""
-        used = {pdo.parameter for pdo in _PDOS}
+        used = {pdo.parameter for pdo in (*self.commands, *self.reports)}
         indices = (index for index in self.variables if index[0] in codec.PDO_PARAMETERS and index[1] == 1)
         return [key for key in indices if key[0] not in used and self.can_write(*key)]
 
@@ -124,7 +133,8 @@ class Eds:
     def watchdogs(self) -> list[str]:
         """Return the means by which the drive can notice that the bench is silent."""
         means = []
-        if self.can_write(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER):
+        timed = codec.SETPOINT_PDO.parameter
+        if self.commands[0].parameter == timed and self.can_write(timed, codec.PDO_EVENT_TIMER):
             means.append(codec.SETPOINT_TIME_OUT)
         if self.can_write(codec.HEARTBEAT_CONSUMER, 1):
             means.append(codec.HEARTBEAT_GUARD)
@@ -161,26 +171,45 @@ class Eds:
         problems = [self._problem(codec.CONTROLWORD, 0, written=True, mapped=True)]
         problems += [self._problem(index, 0, mapped=True) for index in (codec.STATUSWORD, codec.POSITION_ACTUAL)]
         problems.append(self._problem(codec.MODE, 0, written=True))
-        for pdo in _PDOS:
-            problems += [self._problem(pdo.parameter, 1, written=True), self._problem(pdo.parameter, 2)]
-            problems += [self._problem(pdo.mapping_index, 0), self._mapping_problem(pdo)]
+        for pdo in (*self.commands, *self.reports):
+            problems += self._pdo_problems(pdo)
         if homing:
             problems += [self._problem(*key, written=True) for key in codec.HOMING_OBJECTS]
         return [problem for problem in problems if problem]
 
+    def _arranged(self, one: Pdo, other: Pdo, both: Pdo) -> tuple[Pdo, ...]:
+        """Return ``one`` and ``other``; if they cannot be had, ``both`` as the first PDO that can hold it."""
+        if not any(self._pdo_problems(one) + self._pdo_problems(other)):
+            return one, other
+        candidates = (codec.numbered(both, number) for number in range(codec.PDOS_OF_A_NODE))
+        return next(((pdo,) for pdo in candidates if not any(self._pdo_problems(pdo))), (one, other))
+
+    def _pdo_problems(self, pdo: Pdo) -> list[str]:
+        """Return the problems of identifier, transmission type and mapping; what is fixed must be as the driver's."""
+        problems = [self._problem(pdo.parameter, 1), self._problem(pdo.parameter, 2), self._mapping_problem(pdo)]
+        identifier = self.variables.get((pdo.parameter, 1))
+        if identifier is None or identifier.is_writable or (default := identifier.number) is None:
+            return problems
+        if default & codec.PDO_INVALID or default & _FUNCTION != pdo.identifier:
+            problems.append(
+                f"{identifier.section} AccessType: {identifier.access}, DefaultValue: 0x{default:X}: the driver needs "
+                f"0x{pdo.identifier:X} and the node id there, or rw"
+            )
+        return problems
+
     def _mapping_problem(self, pdo: Pdo) -> str:
-        """Return the problem of a PDO whose mapping is fixed, "" if it can be written or is the one of the driver."""
-        problem = self._problem(pdo.mapping_index, 1)
-        if problem or self.can_write(pdo.mapping_index, 1):
+        if self.can_write(pdo.mapping_index, 0):
+            first = self.variables.get((pdo.mapping_index, 1))  # entries that are not in use may be missing
+            if first is None or first.is_writable:
+                return ""
+        if problem := self._problem(pdo.mapping_index, 0) or self._problem(pdo.mapping_index, 1):
             return problem
-        index, subindex, bits = pdo.mapping[0]
-        if pdo is codec.SETPOINT_PDO and self.streams[0] == codec.INTERPOLATED_POSITION:
-            index, subindex, bits = codec.INTERPOLATION_PDO.mapping[0]
-        if self.default(pdo.mapping_index, 1) == index << 16 | subindex << 8 | bits:
-            return ""
-        variable = self.variables[pdo.mapping_index, 1]
-        name = codec.object_name(index, subindex)
-        return f"{variable.section} AccessType: {variable.access}: the driver maps {name} there, allowed: rw"
+        for number, (index, subindex, bits) in enumerate(pdo.mapping, 1):
+            if self.default(pdo.mapping_index, number) != index << 16 | subindex << 8 | bits:
+                entry = self.variables.get((pdo.mapping_index, number)) or self.variables[pdo.mapping_index, 1]
+                name = codec.object_name(index, subindex)
+                return f"{entry.section} AccessType: {entry.access}: the driver maps {name} there, allowed: rw"
+        return ""
 
     def _no_stream(self) -> str:
         supported = self.default(*codec.SUPPORTED_MODES)

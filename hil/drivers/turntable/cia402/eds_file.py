@@ -17,7 +17,9 @@ from hil.errors import BadInput
 
 _BYTES_MAX: Final = 4 * MIB
 _SECTION: Final = re.compile(r"\[\s*(?:0x)?([0-9a-f]{4})\s*(?:(sub|value)\s*(?:0x)?([0-9a-f]{0,2}))?\s*\]", re.I)
+_DEVICE: Final = (0, "device", 0)
 _NODE_ID: Final = re.compile(r"\+?\s*\$\s*node_?id\s*\+?", re.I)
+_DEVICE_SECTION: Final = re.compile(r"\[\s*deviceinfo\s*\]", re.I)
 _COMMENTS: Final = (";", "#", "//")
 _SUBINDEX_MAX: Final = 0xFE
 
@@ -29,6 +31,11 @@ TYPES: Final = {
 }  # fmt: skip
 """Name and bits of the data types that have a size."""
 _UNSIGNED8: Final = 0x05
+_UNSIGNED16: Final = 0x06
+_UNSIGNED32: Final = 0x07
+_PDO_TYPES: Final = {1: _UNSIGNED32, 2: _UNSIGNED8, 3: _UNSIGNED16, 5: _UNSIGNED16}
+_PDOS_MAX: Final = 512
+_MAPPED_MAX: Final = 8
 _COMPOSED: Final = (0x8, 0x9)  # object types: array, record
 _TEXTS: Final = (0x09, 0x0A, 0x0B)
 _SIGNED: Final = (0x02, 0x03, 0x04, 0x10, 0x15)
@@ -89,6 +96,9 @@ def read_data_sheet(path: Path) -> DataSheet:
     """Return the variables of an EDS or DCF file. Raises BadInput for a file that describes no object."""
     sheet = DataSheet()
     sections = _sections(_text_of(read_bytes(path, _BYTES_MAX)), sheet.notes)
+    described = {index for index, *_ in sections}
+    compact = _compact_pdos(*sections.pop(_DEVICE, ("", _Options())), sheet.notes)
+    sheet.variables = {key: each for key, each in compact.items() if key[0] not in described}
     for (index, kind, subindex), (name, options) in sections.items():
         entries = _number(name, options, "compactsubobj", sheet.notes)
         if kind == "sub":
@@ -122,6 +132,7 @@ def _sections(text: str, notes: list[str]) -> dict[tuple[int, str, int], tuple[s
         if line.startswith("["):
             match = _SECTION.match(line)
             key = (int(match[1], 16), (match[2] or "").lower(), int(match[3] or "0", 16)) if match else None
+            key = _DEVICE if _DEVICE_SECTION.match(line) else key
             name, options = (
                 (line[: line.find("]") + 1], {})
                 if key is None
@@ -136,6 +147,22 @@ def _sections(text: str, notes: list[str]) -> dict[tuple[int, str, int], tuple[s
                 notes.append(f"{name} {option}: is given twice, the last one counts: {value.strip()[:40]}")
             options[option] = value.strip()
     return sections
+
+
+def _compact_pdos(name: str, options: _Options, notes: list[str]) -> dict[tuple[int, int], Variable]:
+    """Return the entries of PDOs that have no section of their own: bit n - 1 of CompactPDO is sub-index n."""
+    bits = _number(name, options, "compactpdo", notes) or 0
+    access = "rw" if _number(name, options, "granularity", notes) else "ro"
+    variables = {}
+    for key, parameters, mappings in (("nrofrxpdo", 0x1400, 0x1600), ("nroftxpdo", 0x1800, 0x1A00)):
+        for number in range(min((_number(name, options, key, notes) or 0) * bool(bits), _PDOS_MAX)):
+            index = parameters + number
+            for sub in (sub for sub in _PDO_TYPES if bits >> sub - 1 & 1):
+                variables[index, sub] = Variable(index, sub, f"{name} CompactPDO", _PDO_TYPES[sub], "rw")
+            for sub in range(_MAPPED_MAX + 1):
+                kind = _UNSIGNED32 if sub else _UNSIGNED8
+                variables[mappings + number, sub] = Variable(mappings + number, sub, f"{name} CompactPDO", kind, access)
+    return variables
 
 
 def _variable(index: int, subindex: int, name: str, options: _Options, notes: list[str]) -> Variable:

@@ -32,7 +32,8 @@ def _setpoints_hz(turntable: RotaryAxes) -> float:
     hz = can.bitrate / bus_bits
     if can.interface in _ADAPTER_BYTES:
         pdo, sync = _ADAPTER_BYTES[can.interface]
-        hz = min(hz, can.baud / (_BITS_PER_BYTE * (len(turntable.axes) * pdo + sync)))
+        bits = _BITS_PER_BYTE * (len(turntable.axes) * pdo + sync)
+        hz = 1.0 / (max(1.0 / hz, bits / can.baud) + can.adapter_latency_s)
     return hz
 
 

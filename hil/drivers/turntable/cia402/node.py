@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from hil.config.rig import Cia402, GimbalAxis, RotaryAxes
@@ -11,9 +13,10 @@ from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
+from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.setup import LAG_WALL_S, DriveSetup
 from hil.drivers.turntable.cia402.units import Units
-from hil.errors import DriveFault, LinkTimeout, ProtocolError
+from hil.errors import DeviceError, DriveFault, LinkTimeout, ProtocolError
 
 BURST: Final = 4  # consecutive implausible frames that end the link
 _STANDSTILL_RADPS: Final = 2e-3
@@ -22,6 +25,10 @@ _SLACK: Final = 2.0  # times the largest rate of the axis
 _MODE_WALL_S: Final = 2.0
 _EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones are part of the same burst
 _RATE_SAMPLES: Final = 5  # feedback over which the rate of a drive without a unit of velocity is taken
+_TORQUE_FRACTION: Final = 0.3  # of the limit that is set, for the first move of commissioning
+_RATE_LAG_S: Final = 0.02  # of the velocity that a drive measures
+_REPEATABILITY_RAD: Final = math.radians(0.05)
+_WORD_BYTES: Final = 2  # of the statusword
 _MESSAGES: Final = ("answer to SYNC", "statusword", "heartbeat")
 
 
@@ -40,6 +47,7 @@ class Node:
         self._axis = axis
         self._wire = wire
         self._clock = clock
+        self._is_unprotected = wire.interface in ("serial", "slcan")
         self._enabled_word = codec.ENABLE_OPERATION
         self._rate_max = math.radians(axis.rate_max_degps)
         self._acceleration = math.radians(axis.acceleration_max_degps2)
@@ -50,6 +58,9 @@ class Node:
         self.units = Units(wire.counts_per_turn / math.tau, None)
         self.homing = Homing.DONE if axis.encoder == "absolute" else Homing.NEEDED
         self.protocol_errors = self.surplus = self.warnings = 0
+        self.torque = ""
+        """Result of the last change of the torque limit; "" while it is under way."""
+        self._torque: int | None = None  # the limit to restore
         self.reset()
 
     def reset(self, position: int | None = None) -> None:
@@ -73,6 +84,7 @@ class Node:
         self._position_s: float | None = now_s if position is not None and self.homing is Homing.DONE else None
         self._samples: deque[tuple[float, int]] = deque(maxlen=_RATE_SAMPLES)
         self._implausible_in_a_row = 0
+        self._departed: tuple[float, int, float] | None = None
         self._emergency_s = -math.inf
         self._received_s = [now_s] * len(_MESSAGES)
 
@@ -102,6 +114,32 @@ class Node:
         is_enabled = self._sdo.continue_enabling(_STANDSTILL_RADPS)
         self.target, self.offset = self._sdo.position, 0
         return is_enabled
+
+    def limit_torque(self, reduced: bool) -> bool:
+        """Reduce the torque limit to a fraction of what it is set to, or restore it; ``torque`` is the result."""
+        sdo, name = self._sdo, codec.object_name(codec.MAX_TORQUE)
+        present = self._torque if self._torque is not None else sdo.read(codec.MAX_TORQUE)
+        if present is None:
+            self.torque = f"{name} is missing: full torque"
+            return True
+        present &= 0xFFFF
+        limit = round(_TORQUE_FRACTION * present) if reduced else present
+        try:
+            sdo.set(codec.MAX_TORQUE, limit, 2)
+        except ProtocolError as error:
+            if not reduced:
+                raise
+            self.torque = f"{error.what}: full torque"
+            return True
+        self._torque = present if reduced else None
+        self.torque = f"torque at most {limit} per mille of the rated one ({name}" + (", reduced)" if reduced else ")")
+        return True
+
+    def restore_torque(self) -> None:
+        """Restore the torque limit if it is reduced; a bus that is gone leaves it."""
+        if self._torque is not None:
+            with contextlib.suppress(DeviceError):
+                self.limit_torque(reduced=False)
 
     def begin_homing(self) -> bool:
         """Request homing mode, and start homing once the bits of the statusword are those of that mode.
@@ -178,11 +216,15 @@ class Node:
     def setpoint(self) -> tuple[int, bytes]:
         """Return the frame of the setpoint."""
         plain = codec.encode_plain_setpoint(self.target)
+        if (pdo := self._sdo.command_pdo) is not None:
+            return pdo.identifier + self.node_id, codec.encode_control(self.controlword) + plain
         data = codec.encode_setpoint(self.target, self.offset) if self._sdo.has_offset else plain
         return codec.RPDO1_ID + self.node_id, data
 
     def control(self) -> tuple[int, bytes]:
         """Return the frame of the controlword."""
+        if self._sdo.command_pdo is not None:
+            return self.setpoint()
         return codec.RPDO2_ID + self.node_id, codec.encode_control(self.controlword)
 
     def facts(self) -> str:
@@ -191,6 +233,10 @@ class Node:
         guards = " and ".join(setup.watchdogs)
         guard = f"watchdog {guards}, {setup.watchdog_s:g} s" if guards else "no watchdog"
         return f"{self.name}: {codec.MODE_NAMES[setup.stream]}, {setup.units}, {guard}"
+
+    def report_handlers(self, eds: Eds) -> tuple[Callable[[bytes], None], ...]:
+        """Return the methods that receive the PDOs of ``eds.reports``."""
+        return (self.on_report,) if len(eds.reports) == 1 else (self.on_feedback, self.on_status)
 
     def check_silence(self, now_s: float) -> None:
         """Raise LinkTimeout if an expected message has not been received for too long."""
@@ -214,12 +260,20 @@ class Node:
             shown = math.degrees(rate)
             self._count_implausible(f"jumps from {self.position} to {position} counts at {shown:.4g} deg/s")
             return
+        if self._is_unconfirmed(position, rate, now_s):
+            self._count_implausible(f"moves from {self.position} to {position} counts, against its acceleration")
+            return
         self._implausible_in_a_row = 0
         self._samples.append((now_s, position))
         self.position, self.rate = position, rate
         self._position_s = now_s if self.homing is Homing.DONE else None
         self.answered = True
         self._received_s[0] = now_s
+
+    def on_report(self, data: bytes) -> None:
+        """Receive statusword and position in one message."""
+        self.on_status(data[:_WORD_BYTES])
+        self.on_feedback(data[_WORD_BYTES:])
 
     def on_status(self, data: bytes) -> None:
         """Receive statusword and digital inputs; raise DriveFault for an unexpected state."""
@@ -285,6 +339,29 @@ class Node:
         path = _SLACK * self._rate_max * (now_s - self._position_s) + math.radians(self._margin_deg)
         step = abs(position - self.position) / self.units.position
         return step > path or abs(rate) > 2 * _SLACK * self._rate_max
+
+    def _is_unconfirmed(self, position: int, rate: float, now_s: float) -> bool:
+        """Return whether a position departs from the motion so far, on a wire without a checksum.
+
+        It is accepted when the next one continues it: a true departure costs one exchange, a damaged frame is left out.
+        """
+        sample, departed = (now_s, position, rate), self._departed
+        self._departed = None
+        if not self._is_unprotected or self._position_s is None:
+            return False
+        if self._continues((self._position_s, self.position, self.rate), sample):
+            return False
+        if departed is not None and self._continues(departed, sample):
+            return False
+        self._departed = sample
+        return True
+
+    def _continues(self, before: tuple[float, int, float], sample: tuple[float, int, float]) -> bool:
+        """Return whether a sample (time, position, rate) continues the one before within the acceleration."""
+        dt_s = sample[0] - before[0]
+        path = (sample[1] - before[1]) / self.units.position - 0.5 * (before[2] + sample[2]) * dt_s
+        lag_s = _RATE_LAG_S if self._sdo.has_velocity else _RATE_SAMPLES * dt_s
+        return abs(path) <= self._acceleration * dt_s * (dt_s + lag_s) + _REPEATABILITY_RAD
 
     def _is_bad(self, state: DriveState | None) -> bool:
         stopping = self.controlword in (codec.QUICK_STOP, codec.DISABLE_VOLTAGE)

@@ -24,6 +24,7 @@ REPLY_WALL_S = 0.3
 _SDO_BYTES = 8
 _NOT_MAPPABLE = 0x06040041
 _INVALID_VALUE = 0x06090030
+_WITHOUT_RTR = 0xFFFF_FFFF & ~codec.PDO_NO_RTR
 _ABSENT = (0x06020000, 0x06090011)  # no such object, no such sub-index
 
 _OTHER_REMEDY = "check its state and data sheet with the tool of its maker"
@@ -156,15 +157,11 @@ class DriveObjects:
 
         The bit that forbids remote frames stays as the drive has it; a drive that has none of them insists on it.
         """
-        identifier = pdo.identifier + self.node_id
-        kept = (self.read(pdo.parameter, 1) or 0) & codec.PDO_NO_RTR
-        try:
-            self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
-        except ProtocolError as error:
-            if _abort_code(error) != _INVALID_VALUE or kept or pdo.identifier not in (codec.TPDO1_ID, codec.TPDO2_ID):
-                raise
-            kept = codec.PDO_NO_RTR
-            self.put(pdo.parameter, identifier | kept | codec.PDO_INVALID, 4, subindex=1)
+        is_movable = self._eds.can_write(pdo.parameter, 1)
+        identifier = self._invalidated(pdo) if is_movable else 0
+        if not is_movable and (found := self.get(pdo.parameter, 4, 1)) & _WITHOUT_RTR != pdo.identifier + self.node_id:
+            name = codec.object_name(pdo.parameter, 1)
+            raise ProtocolError(self.axis, f"object {name} is 0x{found & 0xFFFF_FFFF:X}: the driver cannot change it")
         if self._eds.can_write(pdo.parameter, 2) or pdo.parameter >= codec.FEEDBACK_PDO.parameter:
             self.set(pdo.parameter, pdo.transmission, 1, subindex=2)  # a fixed one of a setpoint: it acts at once
         mapping = [index << 16 | subindex << 8 | bits for index, subindex, bits in pdo.mapping]
@@ -173,7 +170,21 @@ class DriveObjects:
             for each, entry in enumerate(mapping, start=1):
                 self.put(pdo.mapping_index, entry, 4, subindex=each)
             self.put(pdo.mapping_index, len(mapping), 1)
-        self.put(pdo.parameter, identifier | kept, 4, subindex=1)
+        if is_movable:
+            self.put(pdo.parameter, identifier, 4, subindex=1)
+
+    def _invalidated(self, pdo: Pdo) -> int:
+        """Make a PDO invalid; return the identifier that makes it valid."""
+        kept = (self.read(pdo.parameter, 1) or 0) & codec.PDO_NO_RTR
+        identifier = pdo.identifier + self.node_id | kept
+        try:
+            self.put(pdo.parameter, identifier | codec.PDO_INVALID, 4, subindex=1)
+        except ProtocolError as error:
+            if _abort_code(error) != _INVALID_VALUE or kept or pdo.parameter < codec.FEEDBACK_PDO.parameter:
+                raise
+            identifier |= codec.PDO_NO_RTR
+            self.put(pdo.parameter, identifier | codec.PDO_INVALID, 4, subindex=1)
+        return identifier
 
     def _has_mapping(self, index: int, mapping: list[int]) -> bool:
         present = [self.read(index, each) for each in range(len(mapping) + 1)]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hil.config.rig import Cia402
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.codec import DriveState
+from hil.drivers.turntable.cia402.codec import DriveState, Pdo
 from hil.drivers.turntable.cia402.sdo import DriveObjects
 from hil.drivers.turntable.cia402.units import Units, units_of
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
@@ -25,12 +26,14 @@ class DriveSetup(DriveObjects):
     """Set-up of one drive. Errors name ``axis``: LinkTimeout, ProtocolError, DriveFault.
 
     Set by ``configure``: units, stream (mode of operation that follows setpoints), has_offset and has_velocity (whether
-    the setpoint holds a velocity, the feedback one), watchdogs, beats (whether it sends heartbeats).
+    the setpoint holds a velocity, the feedback one), command_pdo (of controlword and setpoint in one), watchdogs, beats
+    (whether it sends heartbeats).
     """
 
     units = Units(1.0, None)
     stream = codec.CYCLIC_SYNCHRONOUS_POSITION
     has_offset = has_velocity = beats = False
+    command_pdo: Pdo | None = None
     watchdogs: Sequence[str] = ()
     watchdog_s = 0.0
     position = 0
@@ -38,9 +41,9 @@ class DriveSetup(DriveObjects):
 
     def identify(self, config: Cia402) -> None:
         """Check that this is a CiA 402 drive, the one that the rig file asks for, and that their units agree."""
-        profile = self.get(codec.DEVICE_TYPE, 4) & 0xFFFF
-        if profile != codec.DEVICE_PROFILE:
-            raise ProtocolError(self.axis, f"node {self.node_id} is of device profile {profile}, not 402")
+        device_type = self.get(codec.DEVICE_TYPE, 4) & 0xFFFF_FFFF
+        if device_type & 0xFFFF != codec.DEVICE_PROFILE and device_type != self._eds.default(codec.DEVICE_TYPE):
+            raise ProtocolError(self.axis, f"node {self.node_id} is of device profile {device_type & 0xFFFF}, not 402")
         for subindex, what, expected in ((1, "vendor id", config.vendor_id), (2, "product code", config.product_code)):
             if expected is not None and (actual := self._identity(subindex)) != expected:
                 raise ProtocolError(self.axis, f"{what} is 0x{actual:08X}, expected 0x{expected:08X}")
@@ -67,11 +70,12 @@ class DriveSetup(DriveObjects):
             if identifier is not None and not identifier & codec.PDO_INVALID:
                 self.put(index, identifier | codec.PDO_INVALID, 4, subindex)
         self._choose_stream()
-        self._map_setpoint()
-        self.map(codec.CONTROL_PDO)
-        self.has_velocity = self.map_either(codec.FEEDBACK_PDO, codec.FEEDBACK_PDO_PLAIN, not self.units.has_rates)
-        self.map_either(codec.STATUS_PDO, codec.STATUS_PDO_PLAIN)
-        self._time_status(timeout_s)
+        self._map_commands()
+        if len(self._eds.reports) == 1:
+            self.map(self._eds.reports[0])
+        else:
+            self.has_velocity = self.map_either(codec.FEEDBACK_PDO, codec.FEEDBACK_PDO_PLAIN, not self.units.has_rates)
+            self._map_status(timeout_s)
         self._guard(watchdog_s, heartbeat_s, master)
         self._set_reaction(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_REACTIONS)
         self._set_period(period_s)
@@ -93,31 +97,32 @@ class DriveSetup(DriveObjects):
             )
         self.stream = modes[0]
 
-    def _map_setpoint(self) -> None:
-        if self.stream == codec.INTERPOLATED_POSITION:
-            self.map(codec.INTERPOLATION_PDO)
+    def _map_commands(self) -> None:
+        interpolates = self.stream == codec.INTERPOLATED_POSITION
+        plain = codec.INTERPOLATION_PDO if interpolates else codec.SETPOINT_PDO_PLAIN
+        if len(self._eds.commands) == 1:
+            self.command_pdo = replace(self._eds.commands[0], mapping=codec.CONTROL_PDO.mapping + plain.mapping)
+            self.map(self.command_pdo)
+        else:
+            self.has_offset = self.map_either(codec.SETPOINT_PDO, plain, interpolates or not self.units.has_rates)
+            self.map(codec.CONTROL_PDO)
+        if interpolates:
             for index, subindex, value, size in (
                 (codec.INTERPOLATION_SUBMODE, 0, 0, 2),
                 (codec.BUFFER, 6, 1, 1),
             ):
                 if self._eds.can_write(index, subindex):
                     self.put(index, value, size, subindex)
-            return
-        self.has_offset = self.map_either(
-            codec.SETPOINT_PDO, codec.SETPOINT_PDO_PLAIN, skip_full=not self.units.has_rates
-        )
 
-    def _time_status(self, timeout_s: float) -> None:
+    def _map_status(self, timeout_s: float) -> None:
         """Let the statusword be sent at least four times per time-out: by its timer, else with every so many SYNC."""
-        pdo = codec.STATUS_PDO
+        pdo, plain = codec.STATUS_PDO, codec.STATUS_PDO_PLAIN
         if self._eds.can_write(pdo.parameter, codec.PDO_EVENT_TIMER):
+            self.map_either(pdo, plain)
             self.set(pdo.parameter, round(250.0 * timeout_s), 2, codec.PDO_EVENT_TIMER)
             return
         cycles = min(240, max(1, int(_CYCLES_PER_S * timeout_s / 4.0)))
-        identifier = self.get(pdo.parameter, 4, 1) & 0xFFFF_FFFF
-        self.put(pdo.parameter, identifier | codec.PDO_INVALID, 4, 1)
-        self.set(pdo.parameter, cycles, 1, 2)
-        self.put(pdo.parameter, identifier, 4, 1)
+        self.map_either(replace(pdo, transmission=cycles), replace(plain, transmission=cycles))
 
     def _guard(self, watchdog_s: float, heartbeat_s: float, master: int) -> None:
         """Set up the drive's watchdog over the bench, and its heartbeat."""

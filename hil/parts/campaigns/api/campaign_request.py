@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from hil.api.jobs import BackendArguments, Settings, job_of
+from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.go_level import go_warnings
 from hil.checks.unseen import unseen_warnings
 from hil.config.scenario import Scenario
@@ -103,14 +104,15 @@ class CampaignRequest:
         show("checking the scenario", 0.0)
         sweep = Sweep.parse(self.sweep) if isinstance(self.sweep, str) else self.sweep
         jobs = self._jobs(sweep)
-        for job in jobs:
-            scenario = job.scenario.value
-            for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig)):
-                warn(line)
         study = self._study(jobs[0])
         with ExitStack() as held:
             engine = LocalEngine(self.workers) if self.scheduler is None else DaskEngine(self.scheduler)
             held.callback(engine.close)
+            for job in jobs:
+                scenario = job.scenario.value
+                ages = ephemeris_warnings(scenario, job.rig, job.duration_s)
+                for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig), *ages):
+                    warn(line)
             out = self.out
             if out is None:
                 out = Path(held.enter_context(temporary_folder("campaign")))
@@ -119,7 +121,8 @@ class CampaignRequest:
                 for job, folder in zip(jobs, self._folders(out, len(jobs)), strict=True)
             ]
             show("compiling the loop if it is not cached, up to two minutes", 0.0)
-            jobs[0].warm_up()
+            if self.scheduler is None:  # else its workers do
+                jobs[0].warm_up()
             campaigns = []
             for i, (job, store) in enumerate(zip(jobs, stores, strict=True)):
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -231,7 +231,7 @@ def calibrate(
     if driving.drive:
         _drive(Path(views), start, sigmas, driving, settings)
     if drift.check is not None:
-        return _check(views, drift.check, start, result.json, limits, drift)
+        return _check(views, drift.check, start, result.json, limits, drift, settings)
     return _calibrate(views, start, result, sigmas, limits, settings)
 
 
@@ -299,6 +299,7 @@ def _calibrate(
     import numpy as np
 
     from hil.config.load import load_geometry, load_rig
+    from hil.params.bench import ideal_axes
     from hil.parts.vision.cli.calibrate_tables import print_outcome
     from hil.vmu.calibration import job
     from hil.vmu.calibration.files import HAND_HELD, Label, as_toml, geometry_table, rig_table
@@ -311,6 +312,8 @@ def _calibrate(
     geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
     board = _board(start)
     loaded = None if start.hand_held else read_views(Path(views))
+    if loaded is not None:
+        loaded = replace(loaded, axes=ideal_axes(rig.value, loaded.axes))
     sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
     given = job.CalibrationInputs(
         board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent
@@ -431,8 +434,10 @@ def _check(
     json_path: str | None,
     limits: LimitOptions,
     drift: DriftOptions,
+    settings: Sequence[str],
 ) -> int:
-    from hil.config.load import load_geometry
+    from hil.config.load import load_geometry, load_rig
+    from hil.params.bench import ideal_axes
     from hil.parts.vision.cli.calibrate_tables import print_check
     from hil.vmu.calibration import job
     from hil.vmu.calibration.files import read_back
@@ -441,6 +446,7 @@ def _check(
 
     stored = read_back(load_geometry(known_path).value, known_path)
     loaded = read_views(Path(views))
+    loaded = replace(loaded, axes=ideal_axes(load_rig(start.rig, settings).value, loaded.axes))
     with ProgressBar(notices(), "reading the views") as bar:
         checked = job.check(loaded, stored, _board(start), drift.moved, limits.range_m, bar.show)
     allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)

@@ -28,7 +28,8 @@ def replay_images(
     replays: dict[str, tuple[ImagesReplayed, bool]] = {}
     with notices().status("replaying the images"):
         if vmu:
-            replays["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
+            replayed = replay_vision_unit(recorded, _geometry(recorded, geometry), geometry)
+            replays["vmu"] = (replayed, geometry is not None)
         if monitor:
             replays["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
     deliver(_as_json(recorded, replays), json_path, lambda: _print(recorded, replays))

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from hil.vmu.estimators import PoseEstimator
     from hil.vmu.pose import Prediction
     from hil.vmu.sources import ImageFolder, Pair, StreamPairs
-    from hil.vmu.unit import Solution, VisionUnit
+    from hil.vmu.unit import Pose, Solution, VisionUnit
 
 _PASSED, _FAILED = 0, 1
 _POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -144,7 +144,7 @@ def vmu(
     from hil.cli.warm_up import exit_on_ctrl_c
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
-    from hil.vmu.sources import ImageFolder, StreamPairs, names_two
+    from hil.vmu.sources import ImageFolder, StreamPairs, exposures, names_two
     from hil.vmu.unit import VisionUnit
 
     loaded = load_geometry(geometry).value
@@ -164,7 +164,7 @@ def vmu(
     if isinstance(images, ImageFolder) and (note := images.depth_note()):
         say(note, console)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
-        unit = VisionUnit(loaded) if start.rig is None else _estimator(start.rig, loaded)
+        unit = VisionUnit(loaded) if start.rig is None else _estimator(start.rig, loaded, geometry)
         unit.warm_up()
     if overlay is not None and not isinstance(unit, VisionUnit):
         raise BadInput.single("--overlay", "", "goes with the LED ring, not with another estimator of --rig")
@@ -179,7 +179,7 @@ def vmu(
         bar = stack.enter_context(ProgressBar(console, "frames"))
         stack.enter_context(suppress(KeyboardInterrupt) if endless else nullcontext())
         paced = sender.rs422 is not None and not sender.fast
-        evaluated = islice(_on_time(images, rate_hz, live, paced and cameras is None), start.frames)
+        evaluated = islice(_on_time(exposures(images), rate_hz, live, paced and cameras is None), start.frames)
         for done, (t_s, pair) in enumerate(evaluated):
             solution = solve(unit, pair, t_s, first if done == 0 else None)
             if line is not None:
@@ -191,7 +191,7 @@ def vmu(
             bar.show(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
     write_csv(rows, out)
     summary = summarise(solutions, folder)
-    deliver(summary, json, lambda: _print(summary, out, Console()))
+    deliver(summary, json, lambda: _print(summary, geometry, out, Console()))
     return _PASSED if summary["solved"] else _FAILED
 
 
@@ -235,45 +235,58 @@ def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) ->
         yield t_s, pair
 
 
-def _estimator(rig: str, geometry: VmuGeometry) -> PoseEstimator:
-    """Return the estimator of a rig file with ``geometry``. Raises BadInput."""
+def _estimator(rig: str, geometry: VmuGeometry, path: str) -> PoseEstimator:
+    """Return the estimator of a rig file with the ``geometry`` of the file at ``path``. Raises BadInput."""
     from hil.config.load import load_rig
     from hil.vmu.estimators import make_estimator
 
     vmu = load_rig(rig).value.vmu
-    return make_estimator(vmu.estimator, geometry, vmu.estimator_settings)
+    return make_estimator(vmu.estimator, geometry, vmu.estimator_settings, path)
 
 
 def solve(unit: VisionUnit | PoseEstimator, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:
-    """Return the solution of ``pair``; one unreadable image counts as lost, two as rejected."""
-    from hil.vmu.sources import UNREADABLE
+    """Return the solution of ``pair``; one image that is repeated or unreadable counts as lost, two as rejected."""
+    from hil.vmu.reflections import Doubt
+    from hil.vmu.sources import FAULTS
     from hil.vmu.unit import VisionUnit
 
-    if not isinstance(unit, VisionUnit):
-        return _solution(unit, pair, t_s)
-    if pair.unreadable and pair.left is None and pair.right is None:
-        return unit.rejected(t_s, UNREADABLE)
-    return unit.solve(pair.left, pair.right, t_s, prediction)
+    if pair.faults and pair.left is None and pair.right is None:
+        solution = _without_spots(t_s, next(iter(pair.faults.values())))
+    elif isinstance(unit, VisionUnit):
+        solution = unit.solve(pair.left, pair.right, t_s, prediction)
+    else:
+        solution = _solution(unit, pair, t_s)
+    if pair.faults and solution.doubt is None:
+        doubt = Doubt(", ".join(f"{side} image {FAULTS[fault]}" for side, fault in pair.faults.items()))
+        return replace(solution, doubt=doubt)
+    return solution
+
+
+def _without_spots(t_s: float, status: str, pose: Pose | None = None) -> Solution:
+    import numpy as np
+
+    from hil.vmu.kernels.records import SPOT
+    from hil.vmu.unit import Solution
+
+    none = np.zeros(0, SPOT)
+    return Solution(t_s, status, pose, (none, none), ((), ()))
 
 
 def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
     """Return the result of an estimator as a solution without spots."""
-    import numpy as np
-
     from hil.vmu.estimators import PoseEstimate, solve_pair
-    from hil.vmu.kernels.records import SPOT
     from hil.vmu.unit import Pose, Solution
 
     solved = solve_pair(unit, pair.left, pair.right, t_s)
     if isinstance(solved, Solution):
         return solved
-    pose, none = None, np.zeros(0, SPOT)
+    pose = None
     if isinstance(solved, PoseEstimate) and solved.t_v is not None and solved.covariance is not None:
         assert solved.q_vt is not None
         pose = Pose(
             solved.t_v, solved.q_vt, solved.covariance, solved.covariance if solved.noise is None else solved.noise
         )
-    return Solution(t_s, solved.status, pose, (none, none), ((), ()))
+    return _without_spots(t_s, solved.status, pose)
 
 
 def row(frame: int, solution: Solution) -> dict[str, Any]:
@@ -354,7 +367,7 @@ def _write_overlay(folder: Path, unit: VisionUnit, pair: Pair, solution: Solutio
         raise BadInput.single("--overlay", "", f"{path}: cannot be written")
 
 
-def _print(summary: dict[str, Any], out: str, console: Console) -> None:
+def _print(summary: dict[str, Any], geometry: str, out: str, console: Console) -> None:
     from hil.vmu.estimators import PRINT
 
     text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
@@ -362,8 +375,8 @@ def _print(summary: dict[str, Any], out: str, console: Console) -> None:
     if summary["chi2_per_degree"] is not None:
         say(f"chi-square per degree of freedom {summary['chi2_per_degree']:.2f}", console)
     if PRINT in summary["status"]:
-        text = 'the target fits several prints, or not the stated one: state print = "official" or "opencv"'
-        say(f"{PRINT}: {text} in the geometry file", console, "red")
+        text = 'the target fits several prints, or not the stated one: state print = "official" or "opencv" in'
+        say(f"{PRINT}: {text} {geometry}", console, "red")
     for line in summary["refused"]:
         say(line, console, "red")
     say(f"poses in {out}", console)
