@@ -248,6 +248,8 @@ class Run:
         from hil.report.plots import PLOTS  # slow import
 
         self._require_cycles()
+        if name == "nees":
+            self.nees()
         return PLOTS[name](self.history, self.scenario, self.verdict)
 
     @public
@@ -258,7 +260,10 @@ class Run:
         """
         if not 0.0 < probability < 1.0:
             raise BadInput.single("probability", "", f"{probability:g}: must be above 0 and below 1")
-        return nees_of(self.history, probability)
+        nees = nees_of(self.history, probability)
+        if not len(nees.t_s):
+            raise BadInput.single(self._source(), "", "has no NEES: no pose, or a filter without covariance")
+        return nees
 
     @public
     def report(self, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""What of a scenario's motion a bench does not show whose axes do not all have a drive."""
+"""What of a scenario's motion a bench does not show whose axes do not all have a drive, or shows late."""
 
 from __future__ import annotations
 
@@ -27,17 +27,30 @@ def unseen_plan(scenario: Scenario, rig: Rig) -> Array:
 
 
 def unseen_warnings(scenario: Scenario, rig: Rig) -> list[str]:
-    """Return a line with what the bench does not show of the plan; none if all of its axes have a drive."""
-    if not rig.hidden:
-        return []
+    """Return a line with what the bench does not show of the plan, and one per robot with what its lag costs."""
     try:
+        late = lag_lines(scenario, rig) if rig.robots else []
+        if not rig.hidden:
+            return late
         largest = unseen_plan(scenario, rig)
     except ValueError:  # refused by the check of the plan
         return []
     return [
+        *late,
         f"{rig.name} has no drive for {', '.join(rig.hidden)}: of the plan it does not show {unseen_text(largest)}; "
-        "the vision unit does not see that motion, the IMU and the verdict have it"
+        "the vision unit does not see that motion, the IMU and the verdict have it",
     ]
+
+
+def lag_lines(scenario: Scenario, rig: Rig) -> list[str]:
+    """Return a line for the robots of ``rig`` with what their lag costs most, and one for each whose lag is unknown."""
+    from hil.checks.arm import lag_costs  # of few rigs
+
+    worst = max(lag_costs(axis_demands(scenario, rig), rig), default=None)
+    unknown = [
+        f"{name}.lag_s is not set: what the lag costs is unknown" for name, r in rig.robots.items() if r.lag_s is None
+    ]
+    return unknown if worst is None else [f"{worst.key} {worst.text}", *unknown]
 
 
 def unseen_text(largest: Array) -> str:

@@ -42,7 +42,10 @@ def file_path_problem(path: str) -> str:
         return ""
     if Path(path).is_dir():
         return f"{path}: is a folder, give the name of a file"
-    return "" if Path(path).absolute().parent.is_dir() else f"{path}: its folder does not exist"
+    folder = Path(path).absolute().parent
+    if not folder.is_dir():
+        return f"{path}: its folder does not exist"
+    return "" if os.access(path if Path(path).exists() else folder, os.W_OK) else f"{path}: cannot be written there"
 
 
 def figure_path_problem(path: str) -> str:

@@ -260,6 +260,8 @@ def _put_dispersion_set(table: Table, name: str, origin: dict[str, str]) -> None
     path = _find(name, "dispersions")
     origin_of_set: dict[str, str] = {}
     table["dispersions"] = read_with_bases(path, "dispersions", Dispersions, origin_of_set, prefix=_DISPERSIONS)
+    if not table["dispersions"]:
+        raise BadInput.single(str(path), "", "contains no distribution")
     for stale in [key for key in origin if key == "dispersions" or key.startswith(_DISPERSIONS)]:
         del origin[stale]
     origin["dispersions"] = str(path)

@@ -856,6 +856,8 @@ class Rig(FileTable):
     io: Io | None = None
     arm: Arm | None = None
     """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""
+    target_arm: Arm | None = None
+    """Robot that stands for `[rotary_manipulator]` in the same way."""
     floating: Floating | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
@@ -995,18 +997,41 @@ class Rig(FileTable):
         return self
 
     @property
-    def moved_by_arm(self) -> bool:
-        """Whether a robot on wires stands for rails and turntable."""
-        return self.rails.driver == "arm"
+    def robots(self) -> dict[str, Arm]:
+        """Robots of the bench, by the names of their devices; on a mock rig their limits alone."""
+        return {name: arm for name, arm in (("arm", self.arm), ("target_arm", self.target_arm)) if arm is not None}
+
+    @property
+    def robots_on_wires(self) -> dict[str, Arm]:
+        """The same without those of a mock rig."""
+        return {} if self.kind == "mock" else self.robots
+
+    def robot_axes(self, name: str) -> dict[str, AxisGroupTable]:
+        """Return the axes that the robot ``name`` stands for, by their groups, without those of other controllers."""
+        groups = {key: each for key, each in self.axis_groups.items() if (key == "target") == (name == "target_arm")}
+        parts = {key: groups[key].parts(key).get(key) for key in ("rails", "turntable", "target") if key in groups}
+        return {key: part for key, part in parts.items() if part is not None}
 
     @model_validator(mode="after")
-    def _an_arm_stands_for_both(self) -> Self:
+    def _robots_stand_for_all_of_a_group(self) -> Self:
+        robots = {"rails": "arm", "turntable": "arm", "rotary_manipulator": "target_arm"}
         allowed = "mock" if self.kind == "mock" else "arm"
-        for key, group in (("rails", self.rails), ("turntable", self.turntable)):
-            if self.arm is None and group.driver == "arm":
-                raise ValueError(f'{key}.driver = "arm": needs the table [arm] of the robot')
-            if self.arm is not None and group.driver != allowed:
-                raise ValueError(f'{key}.driver = "{group.driver}": does not go with [arm], allowed "{allowed}"')
+        tables = self.device_tables()
+        for key, table in tables.items():
+            name = robots.get(key)
+            if table.driver == "arm" and name is None:
+                raise ValueError(f'{key}.driver = "arm": allowed for {", ".join(robots)}')
+            if table.driver == "arm" and name not in self.robots:
+                raise ValueError(f'{key}.driver = "arm": needs the table [{name}] of the robot')
+            if name in self.robots and table.driver != allowed:
+                raise ValueError(f'{key}.driver = "{table.driver}": does not go with [{name}], allowed "{allowed}"')
+        for name in self.robots:
+            keys = [key for key, robot in robots.items() if robot == name]
+            if not any(key in tables for key in keys):
+                raise ValueError(f"{name}: needs driven axes of {' or '.join(keys)}")
+        for key in ("turntable", "rotary_manipulator"):
+            if robots[key] in self.robots and any(each.startswith(f"{key}.controllers") for each in tables):
+                raise ValueError(f"{key}.controllers: do not go with [{robots[key]}], allowed none")
         return self
 
     @model_validator(mode="after")
@@ -1120,8 +1145,7 @@ class Rig(FileTable):
         for key, group in groups.items():
             keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
             tables |= zip(keys, group.parts(key).values(), strict=bool(group.driven))
-        if self.arm is not None and self.moved_by_arm:
-            tables["arm"] = self.arm
+        tables |= self.robots_on_wires
         if self.io is not None and self.has_io:
             tables["io"] = self.io
         return tables | ({"vmu": self.vmu} if self.has_vmu else {})

@@ -86,14 +86,10 @@ def read_csv(
 
 
 def _check_header(path: Path, header: list[str], columns: Sequence[str], optional: Iterable[str] | None) -> None:
-    allowed = [*columns, *(optional or ())]
-    missing = [name for name in columns if name not in header]
-    unknown = [name for name in header if optional is not None and name not in allowed]
-    twice = [name for name in header if name and header.count(name) > 1]
-    if not missing and not unknown and not twice:
-        return
-    problem = f"column {missing[0]} is missing" if missing else f"unknown column {unknown[0]!r}" if unknown else ""
-    more = f", optional: {','.join(optional)}" if optional else ""
-    raise BadInput.single(
-        str(path), "", f"{problem or f'column {twice[0]} is there twice'}; columns: {','.join(columns)}{more}"
-    )
+    problems = [f"column {name} is missing" for name in columns if name not in header]
+    if optional is not None:
+        problems += [f"unknown column {name!r}" for name in header if name not in (*columns, *optional)]
+    problems += [f"column {name} is there twice" for name in header if name and header.count(name) > 1]
+    if problems:
+        more = f", optional: {','.join(optional)}" if optional else ""
+        raise BadInput.single(str(path), "", f"{problems[0]}; columns: {','.join(columns)}{more}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -183,22 +183,30 @@ class RigDrivers:
 
 def make_drivers(rig: Rig, clock: BenchClock, period_s: float | None = None) -> RigDrivers:
     """Return the drivers of all axes and of the vision unit. period_s: of the setpoints; None: at any time."""
-    axes: dict[str, AxisGroup] = {}
-    if rig.moved_by_arm:
-        from hil.drivers.arm.device import make_arm  # of few rigs
+    robots: dict[str, AxisGroup] = {}
+    if rig.robots:
+        from hil.drivers.arm.device import make_arms  # of few rigs
 
-        axes |= make_arm(rig, clock)
-    axes |= {name: make_axes(table, clock, name) for name, table in rig.axis_groups.items() if name not in axes}
+        robots = make_arms(rig, clock)
+    axes = {name: make_axes(table, clock, name, robots) for name, table in rig.axis_groups.items()}
     for group in axes.values():
         if period_s is not None and isinstance(group, Streams):
             group.set_period(period_s)
     return RigDrivers(axes, rig.vmu.make_driver(clock) if rig.has_vmu else AbsentVmu())
 
 
-def make_axes(table: AxisGroupTable, clock: BenchClock, name: str) -> AxisGroup:
-    """Return the driver of the axes of ``table``: its own, or one per controller and for fixed axes, together."""
+def make_axes(
+    table: AxisGroupTable, clock: BenchClock, name: str, robots: Mapping[str, AxisGroup] | None = None
+) -> AxisGroup:
+    """Return the driver of the axes of ``table``: its own, or one per controller and for fixed axes, together.
+
+    robots: axes of robots, by the names of the groups that they stand for.
+    """
     made = [
-        AxisPart(part.make_driver(clock, part_name), [table.axis_names.index(axis) for axis in part.axis_names])
+        AxisPart(
+            (robots or {}).get(part_name) or part.make_driver(clock, part_name),
+            [table.axis_names.index(axis) for axis in part.axis_names],
+        )
         for part_name, part in table.parts(name).items()
     ]
     if fixed := [n for n, axis in enumerate(table.axis_names) if axis not in table.driven]:

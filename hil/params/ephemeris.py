@@ -24,7 +24,7 @@ _STEP_RAD: Final = 0.01  # in a step of the integration
 def row_interval_s(known: Orbit) -> float:
     """Return the time between two rows of an ephemeris of ``known``, s."""
     e = known.eccentricity
-    return _ROW_RAD * math.sqrt((1.0 - e * e) ** 3) / ((1.0 + e) ** 2 * dynamics.mean_motion(known))
+    return _ROW_RAD * math.sqrt(1.0 - e * e) * (1.0 - e) / ((1.0 + e) * dynamics.mean_motion(known))
 
 
 def longest_run_s(known: Orbit) -> float:

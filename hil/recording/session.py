@@ -108,7 +108,8 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
         folder.mkdir(parents=True, exist_ok=True)
         made: _Recorder = _InMemory(path, header) if job.waits_for_all else _RecorderProcess(job, path, run, header)
     except OSError as error:
-        text = f"{folder}: cannot record there: {error.strerror or error}"
+        reason = "is no folder" if isinstance(error, FileExistsError) else error.strerror or error
+        text = f"{folder}: cannot record there: {reason}"
         raise BadInput.single("--record", "", text) from error
     try:
         catalogue.begin(

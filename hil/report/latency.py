@@ -12,13 +12,17 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.config.rig import Rig
 from hil.core.messages import Array
 from hil.report.results import DeviceResults
 from hil.sensors.vision_unit import columns as vmu_columns
 
-LATENCIES: Final = ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
+LATENCIES: Final = (
+    "pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "encoder_behind_lead_ms", "pose_behind_imu_ms",
+)  # fmt: skip
+_NO_LEAD: Final = np.zeros(6)
 _WINDOW_S = 1.0
 _SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows do not determine a delay
 _SIGMA_MAX_S = 0.002
@@ -28,20 +32,27 @@ _KNOWN_WITHIN = 2  # rows after the command
 _STAMP_S = 1e-3  # a command is stamped just after its lines were passed on
 
 
-def measured(rows: np.ndarray, joined: np.ndarray, step_s: float, tick_s: float) -> dict[str, Array]:
+def measured(
+    rows: np.ndarray, joined: np.ndarray, step_s: float, tick_s: float, lead_s: Array = _NO_LEAD
+) -> dict[str, Array]:
     """Return the values of each latency, s of bench time, by the names of LATENCIES.
 
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
     it. ``pose_to_wire_ms``: to the time at which the coupler of the digital lines received a command that
     changed them. ``setpoint_to_encoder_ms``: from sending a setpoint to the encoder's arrival at it, one
-    value for each second in which an axis moved. ``pose_behind_imu_ms``: see ``pose_behind_imu_s``.
+    value for each second in which an axis moved. ``encoder_behind_lead_ms``: how much later than its setpoint's own
+    time and ``lead_s`` it is there, by which the bench shows the truth too late. ``pose_behind_imu_ms``: see
+    ``pose_behind_imu_s``.
 
     joined: ``rows`` with the row before them, unless they are the first of the run. tick_s: period of the setpoints.
+    lead_s: (6,), of the axes.
     """
+    behind_s, axes = encoder_behind_s(joined, step_s)
     times = (
         pose_to_command_s(rows),
         pose_to_wire_s(joined),
-        setpoint_to_encoder_s(joined, step_s, tick_s),
+        behind_s + tick_s,
+        behind_s - lead_s[axes],
         pose_behind_imu_s(joined),
     )
     return dict(zip(LATENCIES, times, strict=True))
@@ -70,22 +81,23 @@ def pose_to_wire_s(history: np.ndarray) -> Array:
     return np.array(delays)
 
 
-def setpoint_to_encoder_s(history: np.ndarray, step_s: float, tick_s: float) -> Array:
-    """Return a time for each axis and each window of a second in which it moved, s.
+def encoder_behind_s(history: np.ndarray, step_s: float) -> tuple[Array, NDArray[np.int64]]:
+    """Return a time for each axis and each window of a second in which it moved, s, (n,), and the axes' numbers (n,).
 
-    A row's setpoint belongs to ``t_s`` and was sent ``tick_s`` earlier; its feedback was sampled at
-    ``sampled_s``. While an axis follows with a delay d, its encoder lags by d times the speed:
-    d is fitted to each window by least squares. Windows with an uncertain d are omitted.
+    A row's setpoint belongs to ``t_s``; its feedback was sampled at ``sampled_s``. While an axis follows with a
+    delay d, its encoder lags by d times the speed: d is fitted to each window by least squares. Windows with an
+    uncertain d are omitted.
     """
     rows = history[1:]  # the first setpoint of a run is its last one before it
-    delays = []
+    delays, axes = list[float](), list[int]()
     window = max(_LEAST_SAMPLES, round(_WINDOW_S / step_s))
     for axis in range(6):
         t_s, behind, speed = _of_axis(rows, axis)
         for k in range(0, len(t_s) - window + 1, window):
             part = slice(k, k + window)
             delays += _delay_of_window(behind[part], speed[part], axis)
-    return np.array(delays) + tick_s
+            axes += [axis] * (len(delays) - len(axes))
+    return np.array(delays), np.array(axes, np.int64)
 
 
 def pose_behind_imu_s(history: np.ndarray) -> Array:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.params import gnc as gnc_params
 from hil.report import figures
 from hil.report.consistency import STATES, Nees, nees_of
 from hil.report.figures import COLOURS, axes_of, band, line
@@ -19,12 +20,20 @@ from hil.report.verdict_parts import attitude_error
 _ANGLES: Final = ("theta1, roll", "theta2, pitch", "theta3, yaw")
 
 
-def trajectory(history: np.ndarray, _scenario: Scenario, _verdict: Verdict) -> Figure:
-    """Return the path in H, from above and from the side, and position and velocity over time."""
+def trajectory(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figure:
+    """Return the path in H with its corridor, from above and from the side, and position and velocity over time.
+
+    The corridor is about the lines of the phases, its radius that at the range of the reference.
+    """
     figure, axes = axes_of(2, 2, 7.5)
     truth, reference, estimate = (history[name]["r_CT_H"] for name in ("truth", "reference", "navigation"))
     valid = history["navigation"]["valid"] == 1
+    corridor = gnc_params.approach_monitor(scenario)
+    radius = np.maximum(corridor.minimum_radius, corridor.cone * np.sqrt((reference**2).sum(axis=1)))
     for plot, axis in zip(axes[0], (1, 2), strict=True):
+        for side in (-1.0, 1.0):
+            label = "corridor" if side > 0.0 else None
+            plot.plot(reference[:, 0], reference[:, axis] + side * radius, color="0.75", linewidth=0.9, label=label)
         plot.plot(reference[:, 0], reference[:, axis], color="0.5", linestyle="--", linewidth=0.9, label="reference")
         plot.plot(truth[:, 0], truth[:, axis], color=COLOURS[0], linewidth=1.1, label="truth")
         plot.plot(estimate[valid, 0], estimate[valid, axis], color=COLOURS[1], linewidth=0.6, label="estimate")
@@ -85,7 +94,8 @@ def _inside(of_poses: Nees, name: str) -> str:
     known = values[np.isfinite(values)]
     if not len(known):
         return "no NEES: no pose, or a filter without covariance"
-    return f"mean {known.mean():.2f}, {100.0 * of_poses.inside(name):.1f} % of {len(known)} values in the bounds"
+    share = 100.0 * of_poses.inside(name)
+    return f"mean of all poses {known.mean():.2f}, {share:.1f} % of {len(known)} values in the bounds"
 
 
 def _angles_deg(history: np.ndarray, name: str, scenario: Scenario) -> Array:

@@ -256,6 +256,7 @@ class Latency(Results):
     pose_to_command_ms: Percentiles = row("last byte of a pose to its command", "pose to command p50 p99, ms", _P50_P99)
     pose_to_wire_ms: Percentiles = row("to the thruster lines")
     setpoint_to_encoder_ms: Percentiles = row("fitted to 1 s of motion", "setpoint to encoder p50 p99, ms", _P50_P99)
+    encoder_behind_lead_ms: Percentiles = row("by how much an axis shows its setpoint later than `lead_s` allows for")
     pose_behind_imu_ms: Percentiles = row("lag of the poses behind their exposures, fitted to 20 s of motion")
 
 

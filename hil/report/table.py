@@ -277,6 +277,7 @@ def _bench_lines(bench: results.BenchResults, latency: results.Latency, has_axes
         "pose to command": latency.pose_to_command_ms,
         "to its digital line": latency.pose_to_wire_ms,
         "setpoint to encoder": latency.setpoint_to_encoder_ms,
+        "axes behind lead_s": latency.encoder_behind_lead_ms,
         "pose behind IMU": latency.pose_behind_imu_ms,
     }
     shown = [

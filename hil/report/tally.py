@@ -66,6 +66,7 @@ class Tally:
         self._bound = NavigationBound(scenario, rig, SETTLED_S)
         self._bench = BenchErrorSums(scenario, rig, SETTLED_S)
         self._rails, self._gimbals = Squares(), Squares()
+        self._lead_s = np.array([axis.lead_s for table in (rig.rails, rig.turntable) for axis in table.axes])
         self._latency = {name: ThinnedSample() for name in LATENCIES}
         self._lateness = ThinnedSample()
         self._late_wakeups = 0
@@ -108,7 +109,7 @@ class Tally:
 
     def _add_times(self, rows: np.ndarray, joined: np.ndarray) -> None:
         step_s = self._scenario.step_s
-        for name, values in measured(rows, joined, step_s, step_s / self._rig.ticks(step_s)).items():
+        for name, values in measured(rows, joined, step_s, step_s / self._rig.ticks(step_s), self._lead_s).items():
             self._latency[name].add(values)
         lateness_s = rows["lateness_s"]
         self._lateness.add(lateness_s)

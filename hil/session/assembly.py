@@ -497,11 +497,16 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
 
     rails_config, turntable_config = axes_at_start(scenario, rig)
     mock = memory.state.mock
-    rails = MockAxes("rails", rails_config, mock.rails)
-    turntable = MockAxes("turntable", turntable_config, mock.turntable)
+    axes: Callable[..., MockAxes] = MockAxes
+    if rig.robots:
+        from hil.drivers.arm.mock import MockRobots  # of few rigs
+
+        axes = MockRobots(rig).axes
+    rails = axes("rails", rails_config, mock.rails)
+    turntable = axes("turntable", turntable_config, mock.turntable)
     sensor = make_pose_sensor(scenario, rig, seed, images, mock.vision_memory)
 
-    target = MockAxes("target", rig.target_axes) if rig.target_axes else None
+    target = axes("target", rig.target_axes) if rig.target_axes else None
     bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
     manipulator = bench_params.manipulator(rig)
 
@@ -511,10 +516,10 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
         if vehicle is not None:
             shown = vehicle.axes_at(t_s)
             return sensor.measure(shown.rail_m, shown.gimbal_rad, t_s)
-        axes = rails.position_at(t_s), turntable.position_at(t_s)
+        seen = rails.position_at(t_s), turntable.position_at(t_s)
         if manipulator is not None and target is not None:
-            axes = relative_axes(bench, manipulator, *axes, target.position_at(t_s))
-        return sensor.measure(*axes, t_s)
+            seen = relative_axes(bench, manipulator, *seen, target.position_at(t_s))
+        return sensor.measure(*seen, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     if io is not None and vehicle is not None:

@@ -38,6 +38,7 @@ def python_only(job: Job) -> str:
         and job.truth.monitor.source == "rendered",
         "shadow filter": scenario.gnc.shadow.enabled,
         "a floating vehicle": rig.floating is not None,
+        "a robot, whose limits are checked in each cycle": bool(rig.robots),
         "parts of the plant in FMUs": bool(job.truth.models),
         "a target or further bodies on axes": rig.target_axes is not None or bool(rig.held_axes),
         "a part that checks each cycle": any(each.part.each_cycle for each in used_parts(scenario, rig)),

@@ -28,7 +28,7 @@ _AMBIGUOUS: Final = "ambiguous"
 _SHIFTED: Final = 4.5  # sigmas between the two images
 _DECISIVE: Final = 8.0  # of the score, by which one of the two tilts of a flat target is better
 _AWAY, _AWAY_PX = 5.5, 1.0  # sigmas and pixels by which a corner contradicts a pose
-_REACH_PX, _ACROSS = 2.0, 17  # on both sides of an edge, and samples across it
+_REACH_PX, _REACH_CELLS, _ACROSS = 2.0, 0.5, 17  # on both sides of an edge, at most, and samples across it
 _LEAST_CELL_PX: Final = 3.0
 _ROUNDS: Final = 4
 _CURVED_PX: Final = 80.0
@@ -244,15 +244,17 @@ def refined(image: np.ndarray, corners: Array, cells: int) -> Array | None:
     for _ in range(_ROUNDS):
         lines = []
         for a in range(4):
-            start, along = corners[a], corners[(a + 1) % 4] - corners[a]
-            length = float(np.linalg.norm(along))
-            if length < _LEAST_CELL_PX * cells:
-                return None
+            start, along, beside = corners[a], corners[(a + 1) % 4] - corners[a], corners[a - 1] - corners[a]
+            length = max(float(np.linalg.norm(along)), 1e-9)
             normal = np.array([along[1], -along[0]]) / length
+            cell = abs(float(normal @ beside)) / cells
+            if not cell >= _LEAST_CELL_PX:
+                return None
             if normal @ (start - corners.mean(axis=0)) < 0.0:
                 normal = -normal
             at = np.linspace(0.12, 0.88, max(8, round(length)))
-            across = np.linspace(-_REACH_PX, _REACH_PX, _ACROSS)
+            reach = min(_REACH_PX, _REACH_CELLS * cell)  # not into the cells behind
+            across = np.linspace(-reach, reach, _ACROSS)
             places = (start + at[:, None] * along)[:, None] + across[None, :, None] * normal
             u, v = (places[..., i].astype(np.float32) for i in range(2))
             seen = cv2.remap(levels, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

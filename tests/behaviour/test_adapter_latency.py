@@ -1,4 +1,4 @@
-"""Adapters that collect bytes for 16 ms: the rate that is promised is the one measured, or preflight has a line for it."""
+"""Adapters that collect bytes for 16 ms: the promised rate is the measured one, or preflight warns."""
 
 from __future__ import annotations
 

@@ -174,6 +174,7 @@ def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names:
     all_names: of the axes that the device may have; a driver of three axes alone drives the first ones.
     """
     drivers = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
+    drivers = [other for other in drivers if other != "arm"]  # which needs a robot
     allowed, n = driver_entry(device, name).axes, len(axes)
     if n in allowed and (len(allowed) > 1 or n < _AXES_OF_A_DEVICE or [*axes] == [*all_names[:n]]):
         return

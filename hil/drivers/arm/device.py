@@ -1,4 +1,4 @@
-"""Driver of a robot: six axes, exchanged together at the robot's own rate, as the rails and the turntable of a bench.
+"""Driver of a robot: up to six axes, exchanged together at the robot's own rate, as groups of axes of a bench.
 
 The robot owns its clock: its link answers each cycle with the pose that is due then, within the span of the last two
 setpoints. A stop brakes all axes along their path and holds; the torque is the vendor's safety controller's.
@@ -11,11 +11,11 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil.config.rig import AxisGroupTable, GimbalAxis, RailAxis, Rig
+from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock
-from hil.core.messages import HOMED, Array, AxisFeedback
+from hil.core.messages import Array, AxisFeedback
 from hil.core.plug_ins import call
-from hil.drivers.arm.model import ArmKinematics, FlangePose, Unreachable
+from hil.drivers.arm.model import ArmKinematics, ArmPath, FlangePose, Unreachable, braking
 from hil.drivers.axes import SetpointLimits
 from hil.drivers.base import AxisGroup
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
@@ -25,8 +25,7 @@ HOLD, END = 2, 1
 """Categories of a stop: the robot holds under the correction; the correction has ended."""
 _PERIOD_S: Final = 0.02  # of the setpoints, unless ``set_period``
 _LATE: Final = 0.5  # periods for which a missing setpoint is bridged at its rate, before the axes brake
-_FROZEN: Final = (1e-3, math.radians(0.1))  # m and rad that may be commanded while the feedback stays the same
-_HOMED: Final = 2 * HOMED
+_FROZEN: Final = np.repeat((1e-3, math.radians(0.1)), 3)  # m, rad that may be commanded while the feedback stays
 
 
 class PoseLink(Protocol):
@@ -51,44 +50,32 @@ class PoseLink(Protocol):
         """Return the counters since ``open``; ``exchanges`` is one of them."""
 
 
-class SixAxes(AxisGroupTable):
-    """Axes of rails and turntable as those of one device."""
+class RobotAxes(AxisGroupTable):
+    """Axes of one robot as those of one device."""
 
     all_names = ("x", "y", "z", "roll", "pitch", "yaw")
     device = "arm"
-    x: RailAxis
-    y: RailAxis
-    z: RailAxis
-    roll: GimbalAxis
-    pitch: GimbalAxis
-    yaw: GimbalAxis
 
 
-def six_axes(rig: Rig) -> SixAxes:
-    """Return the table of both groups."""
-    assert rig.arm is not None
-    axes = {name: getattr(table, name) for table in (rig.rails, rig.turntable) for name in table.axis_names}
-    return SixAxes.model_construct(driver="arm", timeout_s=rig.arm.timeout_s, servo=rig.rails.servo, **axes)
-
-
-def braking(position: Array, rate: Array, t_s: float, acceleration_max: Array) -> tuple[Array, Array]:
-    """Return position and rate (6,) ``t_s`` after braking has begun there: all axes in the same, the shortest time."""
-    duration_s = float((np.abs(rate) / acceleration_max).max())
-    if duration_s <= 0.0:
-        return position, rate
-    t_s = min(max(0.0, t_s), duration_s)
-    left = 1.0 - t_s / duration_s
-    return position + 0.5 * t_s * (1.0 + left) * rate, left * rate
+def robot_axes(rig: Rig, name: str) -> RobotAxes:
+    """Return the table of the axes that the robot ``name`` stands for, of all groups."""
+    parts, timeout_s = [*rig.robot_axes(name).values()], rig.robots[name].timeout_s
+    axes = {axis: getattr(part, axis) for part in parts for axis in part.axis_names}
+    table = RobotAxes.model_construct(driver="arm", timeout_s=timeout_s, servo=parts[0].servo, **axes)
+    table._part = tuple(axes)
+    return table
 
 
 class ArmExchange:
-    """A PoseLink as the link of six axes, with the robot's own limits in each cycle."""
+    """A PoseLink as the link of n axes, with the robot's own limits in each cycle."""
 
     has_profiles = False
     jogging = False
 
-    def __init__(self, rig: Rig, link: PoseLink, acceleration_max: Array) -> None:
-        self._kinematics, self._link, self._acceleration_max = ArmKinematics(rig), link, acceleration_max
+    def __init__(self, kinematics: ArmKinematics, link: PoseLink, acceleration_max: Array) -> None:
+        self._kinematics, self._link, self._path = kinematics, link, ArmPath(kinematics, acceleration_max)
+        self._acceleration_max, self._name = acceleration_max, kinematics.name
+        self._rest, self._frozen = np.zeros(len(acceleration_max)), _FROZEN[kinematics.numbers]
         self.error: DeviceError | None = None
         """Refusal of a setpoint; the robot then brakes and holds."""
 
@@ -97,16 +84,15 @@ class ArmExchange:
         self._ramp: tuple[Array, Array, float] | None = None  # where and how fast braking began, and when
         self._ending = self._ended = False
         self.error = None
-        flange = call("arm", self._link.open)
-        axes = self._kinematics.axes_of(flange, np.zeros(6))
-        self.delivered = flange.t_s, axes, np.zeros(6)
+        flange = call(self._name, self._link.open)
+        axes = self._kinematics.axes_of(flange, self._rest)
         try:
-            self._target = self._kinematics.target(axes, flange.t_s, flange.joints_rad)
+            self._path.begin(axes, flange.t_s, flange.joints_rad)
         except Unreachable as error:
-            raise DeviceError("arm", f"stands where it may not be commanded: {error}") from error
+            raise DeviceError(self._name, f"stands where it may not be commanded: {error}") from error
         self._measured = self._unchanged = axes
         self._measured_s = flange.t_s
-        return AxisFeedback(flange.t_s, axes, np.zeros(6), _HOMED)
+        return AxisFeedback(flange.t_s, axes, self._rest)
 
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
         """Answer the robot with the setpoint, or with the ramp of a stop; return its next feedback."""
@@ -116,27 +102,18 @@ class ArmExchange:
             if self._ending and not self._ended and not rate.any():
                 self._ended = True
                 self._link.stop(END)
-        target = self._allowed(position, rate, due_s) or self._target
-        if target is not self._target:
-            self.delivered, self._target = (due_s, position, rate), target
-        flange = call("arm", self._link.exchange, target)
+        try:
+            self._path.go_on(position, rate, due_s, brakes=self._ramp is not None)
+        except Unreachable as refused:
+            self.error = self.error or DeviceError(self._name, str(refused))
+            self._brake(due_s)
+        flange = call(self._name, self._link.exchange, self._path.flange)
         return None if flange is None else self._feedback(flange)
 
-    def _allowed(self, position: Array, rate: Array, due_s: float) -> FlangePose | None:
-        """Return the flange at ``position`` if the robot may go and brake there; begin to brake otherwise."""
-        before, model = self._target.joints_rad, self._kinematics
-        try:
-            target = model.target(position, due_s, before)
-            if self._ramp is None and due_s > self.delivered[0]:
-                assert before is not None
-                assert target.joints_rad is not None
-                model.model.check_rate(before, target.joints_rad, due_s - self.delivered[0])
-                model.target(braking(position, rate, math.inf, self._acceleration_max)[0], due_s, before)
-            return target
-        except Unreachable as refused:
-            self.error = self.error or DeviceError("arm", str(refused))
-            self._brake(due_s)
-            return None
+    @property
+    def delivered(self) -> tuple[float, Array, Array]:
+        """Bench time, axes (n,) and their rates of the last pose."""
+        return self._path.delivered
 
     def _brake(self, now_s: float) -> None:
         if self._ramp is None:
@@ -146,12 +123,12 @@ class ArmExchange:
         axes = self._kinematics.axes_of(flange, self.delivered[1])
         if not np.array_equal(axes, self._measured):
             self._unchanged = self.delivered[1]
-        elif np.any(np.abs(self.delivered[1] - self._unchanged) > np.repeat(_FROZEN, 3)):
-            raise ProtocolError("arm", "repeats its last pose while it is commanded to move")
+        elif np.any(np.abs(self.delivered[1] - self._unchanged) > self._frozen):
+            raise ProtocolError(self._name, "repeats its last pose while it is commanded to move")
         elapsed_s = flange.t_s - self._measured_s
-        rate = (axes - self._measured) / elapsed_s if elapsed_s > 0.0 else np.zeros(6)
+        rate = (axes - self._measured) / elapsed_s if elapsed_s > 0.0 else self._rest
         self._measured, self._measured_s = axes, flange.t_s
-        return AxisFeedback(flange.t_s, axes, rate, _HOMED)
+        return AxisFeedback(flange.t_s, axes, rate)
 
     def home(self) -> None:
         """Nothing to do: the joints have absolute encoders."""
@@ -178,14 +155,14 @@ class ArmExchange:
 
 
 class ArmAxes(CyclicAxisGroup):
-    """The six axes, exchanged with the robot in each of its cycles."""
+    """The axes of the robot ``name``, exchanged with it in each of its cycles."""
 
     _link: ArmExchange
 
-    def __init__(self, rig: Rig, clock: BenchClock, link: PoseLink) -> None:
-        table = six_axes(rig)
+    def __init__(self, rig: Rig, clock: BenchClock, link: PoseLink, name: str) -> None:
+        table = robot_axes(rig, name)
         self._acceleration_max = np.array([axis.limits[3] for axis in table.axes])
-        super().__init__(table, clock, ArmExchange(rig, link, self._acceleration_max), "arm")
+        super().__init__(table, clock, ArmExchange(ArmKinematics(rig, name), link, self._acceleration_max), name)
         self._robot = link
         self._period_s = _PERIOD_S
         self._span: tuple[Array, Array, float] | None = None
@@ -255,19 +232,20 @@ class ArmAxes(CyclicAxisGroup):
 
 
 class ArmPart:
-    """AxisGroup of three axes of the robot. The device is open while one of its parts is."""
+    """AxisGroup of the axes of a robot that stand for one group. The device is open while one of its parts is."""
 
     def __init__(self, axes: ArmAxes, name: str, table: AxisGroupTable, parts: list[ArmPart]) -> None:
         self.name = name
         self._limits = SetpointLimits(name, table)
         self.axis_names = self._limits.names
-        self._axes, self._parts, self._of = axes, parts, slice(3 * len(parts), 3 * len(parts) + 3)
+        first = sum(len(part.axis_names) for part in parts)
+        self._axes, self._parts, self._of = axes, parts, slice(first, first + len(self.axis_names))
         self.given: tuple[Array, Array, float] | None = None
         """Setpoint that waits for the other part's."""
         parts.append(self)
 
     def open(self, now_s: float) -> None:
-        """Connect to the robot, unless the other part has done so. Raises DeviceError."""
+        """Connect to the robot, unless another part has done so. Raises DeviceError."""
         if self.name in self._axes.opened or not self._axes.opened:
             self._axes.opened.clear()
             self._axes.open(now_s)
@@ -286,23 +264,24 @@ class ArmPart:
         self._axes.set_period(period_s)
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
-        """Set the limits (3,) within which the axes catch up after a gap."""
+        """Set the limits (n,) within which the axes catch up after a gap."""
         self._axes.set_part_limits(self._of, rate, acceleration)
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Set the axes of this part; they go to the robot with those of the other part of the same time."""
+        """Set the axes of this part; they go to the robot with those of the other parts of the same time."""
         accepted, accepted_rate = self._limits.accepted(position, rate, self._axes.jogging)
         self.given = accepted, accepted_rate, now_s
         given = [part.given for part in self._parts if part.given is not None and part.given[2] == now_s]
         if len(given) < len(self._parts):
             return accepted
-        six = [np.concatenate([each[k] for each in given]) for k in (0, 1)]
-        return np.array(self._axes.send(six[0], six[1], now_s)[self._of])
+        together = [np.concatenate([each[k] for each in given]) for k in (0, 1)]
+        return np.array(self._axes.send(together[0], together[1], now_s)[self._of])
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback of these axes. Raises LinkTimeout, DeviceError."""
-        all_six = self._axes.read(now_s)
-        return AxisFeedback(all_six.t_s, all_six.position[self._of], all_six.rate[self._of], HOMED)
+        of_all = self._axes.read(now_s)
+        own = self._of
+        return AxisFeedback(of_all.t_s, of_all.position[own], of_all.rate[own], of_all.homing[own])
 
     def counters(self) -> dict[str, int]:
         """Return the counters of the link; those of the device are the rails'."""
@@ -323,9 +302,10 @@ class ArmPart:
             self._axes.close()
 
 
-def make_arm(rig: Rig, clock: BenchClock) -> dict[str, AxisGroup]:
-    """Return rails and turntable of the robot of ``rig``."""
-    assert rig.arm is not None
-    axes = ArmAxes(rig, clock, rig.arm.make_driver(clock, "arm"))
-    parts: list[ArmPart] = []
-    return {name: ArmPart(axes, name, rig.axis_groups[name], parts) for name in ("rails", "turntable")}
+def make_arms(rig: Rig, clock: BenchClock) -> dict[str, AxisGroup]:
+    """Return the axes of the robots of ``rig``, by the groups that they stand for."""
+    made: dict[str, AxisGroup] = {}
+    for name, robot in rig.robots.items():
+        axes, parts = ArmAxes(rig, clock, robot.make_driver(clock, name), name), list[ArmPart]()
+        made |= {group: ArmPart(axes, group, table, parts) for group, table in rig.robot_axes(name).items()}
+    return made

@@ -48,7 +48,7 @@ class _ChildLink:
         finally:
             there.close()
         self.requests = IoRequests(here, name, clock)
-        served = {"io": rig.io} if name == WATCHDOG else {**rig.axis_groups, "arm": rig.arm, "vmu": rig.vmu}
+        served = {"io": rig.io} if name == WATCHDOG else {**rig.axis_groups, **rig.robots, "vmu": rig.vmu}
         plug_ins = [device for device, table in served.items() if table is not None and table.is_plug_in]
         self.link = IoLink(name, memory, self.requests, clock, self.child.end_text, plug_ins)
 
@@ -109,7 +109,7 @@ class IoProcesses:
         lines = RemoteIo(rig.io, watchdog.link) if watchdog is not None and rig.io is not None else None
         return (
             RemoteAxes("rails", rig.rails, link, wakes=False),  # the turntable's setpoint follows at once
-            (RemoteAxes if rig.moved_by_arm else RemoteTurntable)("turntable", rig.turntable, link),
+            (RemoteTurntable if rig.arm is None else RemoteAxes)("turntable", rig.turntable, link),
             self._poses(link),
             lines,
             RemoteAxes("target", rig.target_axes, link) if rig.target_axes is not None else None,

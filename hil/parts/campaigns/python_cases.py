@@ -1,4 +1,4 @@
-"""Runner of a campaign's cases that the compiled loop does not run, as those of a floating vehicle."""
+"""Runner of a campaign's cases that the compiled loop does not run, as those of a floating vehicle or a robot."""
 
 from __future__ import annotations
 
@@ -67,11 +67,13 @@ class PythonCaseRunner:
 
     def noise(self) -> dict[str, tuple[np.ndarray, float]]:
         """Raise BadInput: the likelihood of a case is that of the compiled loop's noise."""
-        raise BadInput.single(self.rig.name, "rig.floating", "rare events are not supported with a floating vehicle")
+        text = "rare events are not supported with a floating vehicle or a robot"
+        raise BadInput.single(self.rig.name, "rig.arm" if self.rig.robots else "rig.floating", text)
 
 
 def case_runner(
     scenario: Scenario, rig: Rig, duration_s: float, own: OwnBackends = NO_BACKENDS
 ) -> CaseRunner | PythonCaseRunner:
     """Return what runs the cases of ``scenario`` on ``rig``."""
-    return (CaseRunner if rig.floating is None else PythonCaseRunner)(scenario, rig, duration_s, own)
+    in_python = rig.floating is not None or bool(rig.robots)
+    return (PythonCaseRunner if in_python else CaseRunner)(scenario, rig, duration_s, own)

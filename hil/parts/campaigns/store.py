@@ -108,11 +108,10 @@ class Store:
             self._parts.mkdir(exist_ok=True)
             for left_over in self._parts.glob("*.part"):
                 left_over.unlink()
-        except (PermissionError, NotADirectoryError, FileExistsError) as error:
-            raise BadInput.single("--out", "", f"{self.folder}: {error.strerror}") from error
         except OSError as error:
             _stop_if_full(error, self.folder)
-            raise
+            text = "is no folder" if isinstance(error, FileExistsError) else error.strerror or str(error)
+            raise BadInput.single("--out", "", f"{self.folder}: {text}") from error
 
     def _locked(self, path: Path) -> int:
         """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput if it is in use."""

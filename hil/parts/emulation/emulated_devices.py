@@ -58,9 +58,8 @@ class EmulatedDevices:
         self.processes: dict[str, ChildProcess] = {}
         """Of each device, by the device's name; to stop one is to cut the device's power."""
         self._sends_images = "vmu" if images else ""
-        groups = {name: table for name, table in rig.axis_groups.items() if table.driver != "arm"}
-        axes = [part for name, table in groups.items() for part in table.parts(name)]
-        axes += ["arm"] if rig.moved_by_arm else []
+        parts = {name: part for key, table in rig.axis_groups.items() for name, part in table.parts(key).items()}
+        axes = [*(name for name, part in parts.items() if part.driver != "arm"), *rig.robots]
         orders = {"io": Order.COUPLER} | dict.fromkeys(axes, Order.AXES)
         try:
             for device in (*axes, *_devices(scenario, rig), *map(device_of, sensors)):
@@ -154,8 +153,7 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
         tables["target_manipulator" if rig.moved_target is not None else "rotary_manipulator"] = target
     for key in ("linear_axes", "rotary_axes"):
         tables[key] = {name: tables.pop(name, table) for name, table in getattr(rig, key).items()}
-    if rig.arm is not None:
-        tables["arm"] = rig.arm.connected("arm", addresses)
+    tables |= {name: robot.connected(name, addresses) for name, robot in rig.robots.items()}
     if rig.has_vmu:
         tables["vmu"] = rig.vmu.connected("vmu", addresses)
     if rig.io is not None and rig.has_io:

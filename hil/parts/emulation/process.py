@@ -92,8 +92,8 @@ def make_emulator(configuration: Message) -> Emulator:
         emulator = rig.axis_groups[device].parts(device)[name].make_emulator(clock, board, seed=seed, name=name)
         return emulator
     table: DeviceTable = getattr(rig, device)
-    if device == "arm":
-        emulator = table.make_emulator(rig, clock, board, seed=seed)
+    if device in rig.robots:
+        emulator = table.make_emulator(rig, clock, board, seed=seed, name=device)
     elif device == "io":
         publish: PublishChain = board.write_chain
         if rig.floating is not None:

@@ -212,9 +212,7 @@ def _camera(source: str, matrix: Array, distortion: Sequence[float], size: tuple
         raise BadInput.single(source, what, "only k1 k2 p1 p2 k3 are supported: calibrate with these")
     numbers = [*distortion[:5], 0.0][:5]
     names = {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
-    if not all(
-        _CENTRAL < names[name] / length < 1.0 - _CENTRAL for name, length in zip(("cx", "cy"), size, strict=True)
-    ):
+    if np.abs(matrix[:2, 2] / size - 0.5).max() > 0.5 - _CENTRAL:
         at = f"{names['cx']:g}, {names['cy']:g} px"
         text = f"{at}: not near the middle of {size[0]} x {size[1]} px: of another camera mode?"
         raise BadInput.single(source, "principal point", text)
@@ -284,10 +282,8 @@ def _inner(source: str, table: Mapping[str, Any], name: str) -> Mapping[str, Any
 def _size(source: str, table: Mapping[str, Any]) -> tuple[int, int]:
     size = [table.get(f"image_{key}", table.get(key)) for key in ("width", "height")]
     if not all(isinstance(number, int) for number in size):
-        stated = table.get("image_size", table.get("imageSize"))
-        numbers = _numbers(source, "image_width, image_height", stated, 2)
-        size = [int(number) for number in numbers]
-    return size[0], size[1]
+        size = _numbers(source, "image_width, image_height", table.get("image_size", table.get("imageSize")), 2)
+    return int(size[0]), int(size[1])
 
 
 def _numbers(source: str, key: str, value: Any, count: int | None = None) -> list[float]:

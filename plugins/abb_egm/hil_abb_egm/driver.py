@@ -25,7 +25,7 @@ class EgmLink(CycleLink[RobotState]):
 
     def __init__(self, arm: Arm, clock: BenchClock, name: str = "arm") -> None:
         self._settings: EgmSettings = arm.settings
-        cycles = RobotCycles(clock, _decode, 1, PERIOD_S, arm.timeout_s)
+        cycles = RobotCycles(clock, _decode, 1, PERIOD_S, arm.timeout_s, name)
         super().__init__(cycles, (self._settings.host, self._settings.port), clock, name)
         self._number = 0
 

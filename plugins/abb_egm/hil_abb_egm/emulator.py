@@ -22,9 +22,13 @@ _PAUSE_S = 0.3  # without an answer, after which the next one restarts the guida
 class EgmController(EmulatedController):
     """Controller of a robot."""
 
-    def __init__(self, arm: Arm, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0) -> None:
-        super().__init__(EmulatedRobot(rig, clock, shared, seed), clock, PERIOD_S)
-        self._settings: EgmSettings = arm.settings
+    def __init__(
+        self, arm: Arm, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0, name: str = "arm"
+    ) -> None:
+        settings: EgmSettings = arm.settings
+        period_s = PERIOD_S * settings.emulated_clock_factor
+        super().__init__(EmulatedRobot(rig, clock, shared, seed, name), clock, period_s)
+        self._settings = settings
         self.robot.lag_s = self._settings.emulated_lag_s
         self._number = self._answered = 0
         self._mci, self._rapid = codec.MCI_STOPPED, codec.RAPID_RUNNING

@@ -28,6 +28,8 @@ class EgmSettings(ConfigModel):
     """Silence after which the controller stops: CommTimeout of EGMSetupUC."""
     emulated_lag_s: NotNegative = 0.012
     """Emulated controller: time from an answer to the motion."""
+    emulated_clock_factor: Annotated[float, Field(ge=0.99, le=1.01)] = 1.0
+    """Emulated controller: its second, in seconds of the bench."""
 
 
 ENTRY = DriverEntry(

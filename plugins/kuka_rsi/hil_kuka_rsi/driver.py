@@ -29,7 +29,7 @@ class RsiLink(CycleLink[RobotState]):
     def __init__(self, arm: Arm, clock: BenchClock, name: str = "arm") -> None:
         settings: RsiSettings = arm.settings
         self._settings = settings
-        cycles = RobotCycles(clock, _decode, settings.period_ms, settings.period_s, arm.timeout_s)
+        cycles = RobotCycles(clock, _decode, settings.period_ms, settings.period_s, arm.timeout_s, name)
         super().__init__(cycles, (settings.host, settings.port), clock, name)
         self._delayed = self._delayed_before = 0
 

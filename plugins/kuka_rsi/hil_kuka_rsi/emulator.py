@@ -26,9 +26,12 @@ _FIRST_IPOC = 123_456
 class RsiController(EmulatedController):
     """Controller of a robot."""
 
-    def __init__(self, arm: Arm, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0) -> None:
+    def __init__(
+        self, arm: Arm, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0, name: str = "arm"
+    ) -> None:
         settings: RsiSettings = arm.settings
-        super().__init__(EmulatedRobot(rig, clock, shared, seed), clock, settings.period_s)
+        period_s = settings.period_s * settings.emulated_clock_factor
+        super().__init__(EmulatedRobot(rig, clock, shared, seed, name), clock, period_s)
         self._settings = settings
         self.robot.lag_s = settings.emulated_lag_s
         self._ipoc, self._delayed, self._late_in_row = _FIRST_IPOC, 0, 0

@@ -32,6 +32,8 @@ class RsiSettings(ConfigModel):
     """Cycles in a row without an answer after which the controller stops: Timeout of its object ETHERNET."""
     emulated_lag_s: NotNegative = 0.0
     """Emulated controller: time from an answer to the motion, in addition to one cycle."""
+    emulated_clock_factor: Annotated[float, Field(ge=0.99, le=1.01)] = 1.0
+    """Emulated controller: its second, in seconds of the bench."""
 
     @property
     def period_s(self) -> float:

@@ -9,11 +9,12 @@ from hil.core.clock import BenchClock
 from hil.drivers.datagrams import DatagramPort
 from hil.errors import LinkLost, LinkTimeout
 
-_EARLY, _LATE, _DRIFT = 0.3, 0.02, 0.01  # gains: a datagram can only be delayed
+_GAIN, _DRIFT_GAIN = 0.1, 0.0025  # critically damped, per cycle
+_SLEW: Final = 0.25  # largest correction, of the time between two cycles: time never turns back
 _DRIFT_MAX: Final = 0.2
 _POLLS: Final = 0.25  # of the longest silence
 _ROUNDING_S: Final = 1e-6
-_LOST_S: Final = 0.05  # arrival that far from its estimate: the estimate begins anew
+_LOST_S: Final = 0.05  # arrival that late against its estimate: the estimate restarts
 
 State = TypeVar("State")
 
@@ -31,12 +32,13 @@ class RobotTime:
         elapsed_s, self._robot_s = robot_s - self._robot_s, robot_s
         expected_s = self.t_s + self.rate * elapsed_s
         error_s = arrived_s - expected_s
-        if self.rate == 0.0 or elapsed_s <= 0.0 or abs(error_s) > _LOST_S:
+        if self.rate == 0.0 or elapsed_s <= 0.0 or error_s > _LOST_S:
             self.t_s, self.rate = arrived_s, self.rate or 1.0
             return self.t_s
-        change = _DRIFT * min(1.0, max(-1.0, error_s / elapsed_s))
+        within_s = min(_SLEW * elapsed_s, max(-_SLEW * elapsed_s, _GAIN * error_s))
+        change = _DRIFT_GAIN / _GAIN * within_s / elapsed_s
         self.rate = min(1.0 + _DRIFT_MAX, max(1.0 - _DRIFT_MAX, self.rate + change))
-        self.t_s = expected_s + (_EARLY if error_s < 0.0 else _LATE) * error_s
+        self.t_s = expected_s + within_s
         return self.t_s
 
 
@@ -51,13 +53,19 @@ class Cycle(NamedTuple, Generic[State]):
 class RobotCycles(Generic[State]):
     """Wire of a robot. decode: returns the cycle of a datagram, raises ValueError for one that is damaged.
 
-    step: of the numbers of two consecutive cycles. timeout_s: longest silence, bench time.
+    step: of the numbers of two consecutive cycles. timeout_s: longest silence, bench time. name: of the device.
     """
 
     def __init__(
-        self, clock: BenchClock, decode: Callable[[bytes], Cycle[State]], step: int, period_s: float, timeout_s: float
+        self,
+        clock: BenchClock,
+        decode: Callable[[bytes], Cycle[State]],
+        step: int,
+        period_s: float,
+        timeout_s: float,
+        name: str,
     ) -> None:
-        self._clock, self._decode, self._step = clock, decode, step
+        self._clock, self._decode, self._step, self._name = clock, decode, step, name
         self._period_s, self._timeout_s = period_s, timeout_s
         self._port: DatagramPort | None = None
         self.counts = dict.fromkeys(("exchanges", "lost", "protocol_errors", "duplicates", "late_answers"), 0)
@@ -73,7 +81,7 @@ class RobotCycles(Generic[State]):
                 self._clock, host, port, self._clock.wall_s(_POLLS * self._timeout_s), answered=True
             )
         except OSError as error:
-            raise LinkLost("arm", f"cannot open udp {host}:{port}: {error.strerror or error}") from error
+            raise LinkLost(self._name, f"cannot open udp {host}:{port}: {error.strerror or error}") from error
 
     _last: int | None = None
 
@@ -90,11 +98,11 @@ class RobotCycles(Generic[State]):
     def next(self, may_be_silent: bool = False) -> Cycle[State] | None:
         """Return the next cycle; None for a damaged or repeated one. Raises LinkTimeout after a silence, LinkLost."""
         if self._port is None:
-            raise LinkLost("arm", "is not open")
+            raise LinkLost(self._name, "is not open")
         try:
             data = self._port.read()
         except OSError as error:
-            raise LinkLost("arm", f"udp port failed: {error}") from error
+            raise LinkLost(self._name, f"udp port failed: {error}") from error
         now_s = self._clock.now_s()
         try:
             cycle = self._decode(data) if data else None
@@ -105,7 +113,7 @@ class RobotCycles(Generic[State]):
             self.counts["duplicates"] += cycle is not None
             silent_s = now_s - self._received_s
             if silent_s > self._timeout_s - _ROUNDING_S and not may_be_silent:
-                raise LinkTimeout("arm", f"no cycle for {silent_s:.3f} s, allowed {self._timeout_s:g} s")
+                raise LinkTimeout(self._name, f"no cycle for {silent_s:.3f} s, allowed {self._timeout_s:g} s")
             return None
         if self._last is not None and 1 < (gap := (cycle.number - self._last) // self._step) < 1000:
             self.counts["lost"] += gap - 1
@@ -121,7 +129,7 @@ class RobotCycles(Generic[State]):
             try:
                 self._port.answer(data)
             except OSError as error:
-                raise LinkLost("arm", f"udp port failed: {error}") from error
+                raise LinkLost(self._name, f"udp port failed: {error}") from error
 
     def close(self) -> None:
         """Close the port. Idempotent."""

@@ -1,4 +1,4 @@
-"""Mechanics of an emulated robot: the axes of rails and turntable behind one controller, with the lag of this."""
+"""Mechanics of an emulated robot: the axes that it stands for behind one controller, with the lag of this."""
 
 from __future__ import annotations
 
@@ -21,26 +21,22 @@ from hil_robot_arms.settings import arm_model
 
 
 class EmulatedRobot:
-    """Robot of ``rig``, whose controller gives it a pose of the flange per cycle, followed after ``lag_s``.
+    """Robot ``name`` of ``rig``, whose controller gives it a pose of the flange per cycle, followed after ``lag_s``.
 
-    faults: of the controller's wire and of the six axes. channel: what the controller sends, under these faults.
+    faults: of the controller's wire and of the n axes. channel: what the controller sends, under these faults.
     """
 
-    def __init__(self, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int = 0) -> None:
-        names = (*rig.rails.axis_names, *rig.turntable.axis_names)
-        self.faults = Faults("arm", ("wire", "drive"), names)
+    def __init__(self, rig: Rig, clock: BenchClock, shared: SharedAxisState, seed: int, name: str) -> None:
+        self._kinematics, self._model = ArmKinematics(rig, name), arm_model(rig.robots[name])
+        parts = self._kinematics.parts
+        self._names = tuple(axis for part in parts.values() for axis in part.axis_names)
+        self.faults = Faults(name, ("wire", "drive"), self._names)
         self.channel = FaultyChannel(self.faults, stream(seed, "wire"))
         self.lag_s = 0.0
-        assert rig.arm is not None
-        self._kinematics, self._model = ArmKinematics(rig), arm_model(rig.arm)
-        self._groups = tuple(
-            EmulatedAxes(name, table, clock, shared, self.faults, seed=seed)
-            for name, table in (("rails", rig.rails), ("turntable", rig.turntable))
-        )
-        self._names = names
+        self._groups = [EmulatedAxes(*part, clock, shared, self.faults, seed=seed) for part in parts.items()]
         self._coming: deque[tuple[float, Array, Array]] = deque()
         self.given: Array | None = None
-        """Six axes of the last pose that the controller was given, (6,); None while it brakes."""
+        """Axes of the last pose that the controller was given, (n,); None while it brakes."""
         self._joints: Array | None = None
 
     @property
@@ -62,13 +58,13 @@ class EmulatedRobot:
 
     @property
     def axes(self) -> Array:
-        """The six axes by the encoders, (6,), m and rad."""
+        """The axes by the encoders, (n,), m and rad."""
         return np.concatenate([group.position for group in self._groups])
 
     def follow(self, flange: FlangePose, now_s: float, period_s: float) -> None:
         """Take the next pose of the controller, ``period_s`` after the last one."""
         axes = self._kinematics.axes_of(flange, self.axes)
-        rate = np.zeros(6) if self.given is None else (axes - self.given) / period_s
+        rate = np.zeros(len(axes)) if self.given is None else (axes - self.given) / period_s
         self.given = axes
         self._coming.append((now_s + self.lag_s, axes, rate))
 
@@ -90,9 +86,10 @@ class EmulatedRobot:
         while self._coming and self._coming[0][0] <= now_s:
             due_s, axes, rate = self._coming.popleft()
             self._advance(due_s)
-            for first, group in zip((0, 3), self._groups, strict=True):
-                for axis in range(3):
-                    group.follow(axis, axes[first + axis], rate[first + axis], due_s)
+            setpoints = iter(zip(axes, rate, strict=True))
+            for group in self._groups:
+                for axis in range(len(group.names)):
+                    group.follow(axis, *next(setpoints), due_s)
         self._advance(now_s)
         for group in self._groups:
             group.overdue = [False] * len(group.names)
@@ -127,7 +124,7 @@ class EmulatedController:
 
     def start(self) -> dict[str, str]:
         """Return the address to which the controller sends."""
-        return {"arm": self._wire.path}
+        return {self.faults.device: self._wire.path}
 
     def run(self, stop: threading.Event) -> None:
         """Send a telegram per cycle, as the faults of the wire let it pass, until ``stop`` is set."""

@@ -31,8 +31,8 @@ def test_shipped_runs_are_within_the_limit(name: str) -> None:
 
 
 def test_orbit_with_the_harmonics_of_the_truth_is_good_for_the_whole_hold() -> None:
-    told = load_scenario("scheme-1", ("gnc.ephemeris.gravity_degree=8",)).value
-    limit = ephemeris_limit(told, RIG, HOLD_S, None)
+    perturbed = load_scenario("scheme-1", ("gnc.ephemeris.gravity_degree=8",)).value
+    limit = ephemeris_limit(perturbed, RIG, HOLD_S, None)
     assert limit is not None
     assert math.isinf(limit.good_for_s)
     assert math.degrees(limit.error_radps) < 1e-9
@@ -49,8 +49,8 @@ def test_vision_is_accused_at_the_limit() -> None:
 
 
 def test_filters_follow_the_harmonics_of_their_ephemeris() -> None:
-    told = ("gnc.ephemeris.gravity_degree=6", "gnc.ephemeris.rate_sigma_degps=[0,3e-7,1e-8]")
-    scenario, length_s = load_scenario("leo-vbar", told).value, 4400.0
+    perturbed = ("gnc.ephemeris.gravity_degree=6", "gnc.ephemeris.rate_sigma_degps=[0,3e-7,1e-8]")
+    scenario, length_s = load_scenario("leo-vbar", perturbed).value, 4400.0
     stats, _ = CaseRunner(scenario, RIG, length_s).run(scenario, 4)
     assert not stats.integrity.limits.aborted
     means = navigation_means(stats.navigation, SETTLED)
@@ -71,7 +71,7 @@ def test_harmonics_that_do_not_act_are_refused(settings: tuple[str, ...], text: 
 
 
 def test_run_that_is_longer_than_the_ephemeris_is_refused() -> None:
-    told = load_scenario("scheme-1", ("gnc.ephemeris.gravity_degree=8",))
-    assert check_length(told, 90_000.0) == []
-    (problem,) = check_length(told, 110_000.0)
+    perturbed = load_scenario("scheme-1", ("gnc.ephemeris.gravity_degree=8",))
+    assert check_length(perturbed, 90_000.0) == []
+    (problem,) = check_length(perturbed, 110_000.0)
     assert problem.message == "8: the ephemeris reaches to 99718 s, the run to 110000 s, allowed 0"

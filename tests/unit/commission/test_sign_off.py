@@ -179,6 +179,19 @@ def test_axes_signed_before_a_change_do_not_count(lab: Path) -> None:
     assert "missing: rails.x, rails.y" in sign_off_gap(first)
 
 
+def test_digest_covers_the_content_of_a_file_of_the_rig_and_not_its_path(tmp_path: Path) -> None:
+    rig = load_rig("emulated").value
+
+    def digest(name: str, text: str) -> str:
+        (tmp_path / name).write_text(text)
+        bench = rig.bench.model_copy(update={"geometry_file": str(tmp_path / name)})
+        return motion_digest(rig.model_copy(update={"bench": bench}))
+
+    first = digest("a.toml", "squareness")
+    assert digest("b.toml", "squareness") == first
+    assert digest("a.toml", "squareness, edited") != first
+
+
 def test_digest_covers_the_content_of_the_protocol_file_and_not_its_path(tmp_path: Path) -> None:
     digests = []
     for folder, delay in (("a", ""), ("b", ""), ("c", "# another word\n")):

@@ -13,14 +13,14 @@ from hil.maths import quat
 from hil.params import dynamics
 from hil.params.gnc import target_orbit
 
-TOLD = ("gnc.ephemeris.gravity_degree=6", "truth.gravity_degree=6", "truth.drag=false", "truth.third_bodies=false")
+HARMONICS = ("gnc.ephemeris.gravity_degree=6", "truth.gravity_degree=6", "truth.drag=false", "truth.third_bodies=false")
 ECCENTRIC = ("orbit.eccentricity=0.7", "orbit.altitude_m=17e6", "orbit.true_anomaly_deg=-60.0")
 DT_S, LENGTH_S = 0.4, 4000.0
 
 
 @pytest.mark.parametrize(("name", "more"), [("scheme-1", ()), ("leo-vbar", ()), ("leo-vbar", ECCENTRIC)])
 def test_ephemeris_is_the_orbit_of_the_truth(name: str, more: tuple[str, ...]) -> None:
-    scenario = load_scenario(name, (*TOLD[:2], *more, *(TOLD[2:] if name == "leo-vbar" else ()))).value
+    scenario = load_scenario(name, (*HARMONICS[:2], *more, *(HARMONICS[2:] if name == "leo-vbar" else ()))).value
     params, field, memory = dynamics.dss(scenario), dynamics.field(scenario), new(TRUTH_MEMORY)
     params.dt_s, truth, orbit = DT_S, dynamics.initial_truth(scenario), target_orbit(scenario)
     q_start, rate, q, hill = truth.q_HI.copy(), np.empty(3), np.empty(4), new(HILL_STEP)
@@ -46,7 +46,7 @@ def test_ephemeris_is_the_orbit_of_the_truth(name: str, more: tuple[str, ...]) -
 
 
 def test_point_mass_has_no_ephemeris_and_harmonics_change_it() -> None:
-    known = [target_orbit(load_scenario("leo-vbar", more).value) for more in ((), TOLD[:1])]
+    known = [target_orbit(load_scenario("leo-vbar", more).value) for more in ((), HARMONICS[:1])]
     assert [int(orbit.ephemeris.n) > 0 for orbit in known] == [False, True]
     rates = np.empty((2, 3))
     for orbit, rate in zip(known, rates, strict=True):

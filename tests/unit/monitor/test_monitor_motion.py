@@ -10,7 +10,7 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.parts.monitor.kernels.pose import FOCAL, UNKNOWNS
-from hil.parts.monitor.motion import MotionFit, MotionSolution, transition
+from hil.parts.monitor.motion import _CARRIED, MotionFit, MotionSolution, _design, _gains, transition
 from hil.parts.monitor.results import FrameDetection, FrameResult
 from hil.parts.monitor.settings import MonitorSettings
 
@@ -23,6 +23,16 @@ UNIFORM = MonitorSettings(acceleration_mps2=1e-9, angular_acceleration_radps2=1e
 def atv() -> Scene:
     """Return the shipped ATV-like scene."""
     return load_scene("atv").value
+
+
+def test_accelerations_act_as_in_uniformly_accelerated_motion() -> None:
+    state, acceleration = np.arange(1.0, 13.0), np.arange(1.0, 7.0)
+    moved = transition(3.0) @ state + _gains(3.0)[:12] @ acceleration
+    place, rate = state[0::2], state[1::2]
+    assert moved[0::2] == pytest.approx(place + 3.0 * rate + 4.5 * acceleration)
+    assert moved[1::2] == pytest.approx(rate + 3.0 * acceleration)
+    seen = _design(3.0)[:6] @ np.concatenate([state, np.zeros(_CARRIED - 12), acceleration])
+    assert seen == pytest.approx(moved[0::2])
 
 
 def motion() -> np.ndarray:

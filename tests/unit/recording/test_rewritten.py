@@ -73,6 +73,20 @@ def test_rewritten_recording_is_whole_and_verified(
     assert f"PASS audit of {out.name}: rewritten, content unchanged: " in text
 
 
+@pytest.mark.parametrize(
+    ("kind", "problem"), [(0x80, ""), (0xFF, ""), (0x70, "not supported: a record of the unknown")]
+)
+def test_private_record_of_another_program_is_skipped(path: Path, tmp_path: Path, kind: int, problem: str) -> None:
+    out = rewritten(path, tmp_path / "other.mcap", summary=False)
+    data = out.read_bytes()
+    at = 8 + 9 + int.from_bytes(data[9:17], "little")  # behind the header
+    out.write_bytes(data[:at] + bytes([kind, 5]) + bytes(7) + b"notes" + data[at:])
+    found = contents(out)
+    assert found.problem.startswith(problem)
+    assert bool(found.problem) == bool(problem)
+    assert found.records["/cycle"] == contents(path).records["/cycle"]
+
+
 def test_rewritten_recording_is_replayed_bit_by_bit(path: Path, tmp_path: Path) -> None:
     out = rewritten(path, tmp_path / "other.mcap")
     assert execute(["replay", str(out)]) == PASSED

@@ -14,7 +14,7 @@ from hil.core.messages import AXES, CYCLE, new
 from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.report.bench_error import encoders_at_truth
-from hil.report.latency import measured, percentiles, setpoint_to_encoder_s
+from hil.report.latency import encoder_behind_s, measured, percentiles
 from tests.support.verdicts import bench_error
 
 DT = 0.02
@@ -137,15 +137,19 @@ def test_setpoint_to_encoder_is_found_in_the_runs_own_motion(
 ) -> None:
     history = flight(mock_rig, sampled_early_s + delay_s)  # encoders show where the setpoint was so long ago
     history["sampled_s"] += delay_s
-    found = setpoint_to_encoder_s(history, DT, DT)
+    found, axes = encoder_behind_s(history, DT)
     assert len(found) >= 20  # three rails, a window each second of 8
-    np.testing.assert_allclose(found, delay_s + DT, atol=1e-9)
+    np.testing.assert_allclose(found, delay_s, atol=1e-9)
+    lead_s = np.array([0.03, 0.02, 0.01, 0.0, 0.0, 0.0])
+    latencies = measured(history, history, DT, 0.5 * DT, lead_s)
+    np.testing.assert_allclose(latencies["setpoint_to_encoder_ms"], delay_s + 0.5 * DT, atol=1e-9)
+    np.testing.assert_allclose(latencies["encoder_behind_lead_ms"], delay_s - lead_s[axes], atol=1e-9)
 
 
 def test_uninformative_windows_are_left_out(mock_rig: Rig) -> None:
     history = flight(mock_rig)
     history["setpoint"]["rail_mps"] *= 1e-3
-    assert len(setpoint_to_encoder_s(history, DT, DT)) == 0
+    assert len(encoder_behind_s(history, DT)[0]) == 0
     noisy = flight(mock_rig)
     noisy["feedback"]["rail_m"] += 0.002 * np.random.default_rng(1).standard_normal((N, 3))
-    assert len(setpoint_to_encoder_s(noisy, DT, DT)) < 4
+    assert len(encoder_behind_s(noisy, DT)[0]) < 4

@@ -34,6 +34,20 @@ def test_each_plot_has_labels_and_data(name: str, run: hil.Run) -> None:
     assert any(axes.get_ylabel() for axes in figure.axes)
 
 
+def test_trajectory_shows_the_corridor_about_the_reference(run: hil.Run) -> None:
+    lines = {each.get_label(): each for each in run.plot("trajectory").axes[0].lines}
+    off_m = lines["corridor"].get_ydata() - lines["reference"].get_ydata()
+    margin_m = run.history["supervision"]["corridor_margin_m"]  # of an estimate that is nearly on the line
+    assert np.nanmax(margin_m) == pytest.approx(off_m.max(), abs=0.02)
+
+
+def test_run_without_a_nees_is_answered_by_one_line() -> None:
+    blind = hil.run("scheme-1", duration_s=0.4, faults=[{"device": "vmu", "kind": "no_pose", "at_s": 0.0}])
+    for call in (blind.nees, lambda: blind.plot("nees")):
+        with pytest.raises(hil.errors.BadInput, match="has no NEES: no pose"):
+            call()
+
+
 def test_nees_has_its_bounds_at_each_pose(run: hil.Run) -> None:
     found = run.nees()
     assert len(found.t_s) == len(found.position) == np.isfinite(run.cycles.nees_position).sum() > 20

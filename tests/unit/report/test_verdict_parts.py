@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
-from hil.core.messages import CYCLE
-from hil.loop.compiled.run_stats import counted
+from hil.core.messages import CYCLE, new
+from hil.loop.compiled.run_stats import NAVIGATION_SUMS, counted
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
 from hil.report.results import Security
@@ -21,9 +21,27 @@ from hil.report.verdict_parts import (
     drift_over_an_orbit,
     energy_part,
     impulsive_bound,
+    navigation_numbers,
     security_part,
     slew_impulse,
 )
+
+
+def test_errors_of_the_navigation_are_root_mean_squares_once_settled() -> None:
+    sums = new(NAVIGATION_SUMS)
+    sums.estimates[:] = 2, 4
+    sums.square_error[1] = [0.04, 0.16, 0.36, 1.0, 4.0, 9.0, 1e-4, 4e-4, 9e-4]
+    sums.square_sigma[1] = 0.16
+    sums.updates[1], sums.nees[1] = (5, 10), (45.0, 60.0)
+    numbers = navigation_numbers(sums)
+    assert numbers["position_rmse_m"] == pytest.approx([0.1, 0.2, 0.3])
+    assert numbers["velocity_rmse_mps"] == pytest.approx([0.5, 1.0, 1.5])
+    assert numbers["attitude_rmse_deg"] == pytest.approx(np.degrees([0.005, 0.01, 0.015]))
+    assert numbers["position_sigma_m"] == pytest.approx([0.2] * 3)
+    assert (numbers["nees_pkf"], numbers["nees_akf"]) == (9.0, 6.0)
+    sums.estimates[1] = 0  # a run that ended before
+    sums.square_error[0] = 0.5
+    assert navigation_numbers(sums)["position_rmse_m"] == pytest.approx([0.5] * 3)
 
 
 def flight(n: int = 100) -> np.ndarray:

@@ -274,7 +274,6 @@ def _without_spots(t_s: float, status: str, pose: Pose | None = None) -> Solutio
 
 def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
     """Return the result of an estimator as a solution without spots."""
-
     from hil.vmu.estimators import PoseEstimate, solve_pair
     from hil.vmu.unit import Pose, Solution
 
