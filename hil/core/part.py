@@ -208,7 +208,11 @@ def hooks(name: str, scenario: Any, rig: Any) -> Iterator[Any]:
     """Yield the function that each part which a run of ``scenario`` on ``rig`` uses has for ``name``, if it has one."""
     for each in used_parts(scenario, rig):
         if path := getattr(each.part, name):
-            yield imported(path)
+            try:
+                hook = imported(path)
+            except (AttributeError, ImportError) as error:
+                raise BadInput.single(f"part {each.part.name}", name, f"{path!r}: {error}") from error
+            yield hook
 
 
 def imported(path: str) -> Any:

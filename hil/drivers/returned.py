@@ -29,6 +29,12 @@ def checked_feedback(device: str, method: Method, feedback: object, n: int) -> A
     return feedback
 
 
+def checked_setpoint(device: str, method: Method, accepted: object, n: int) -> None:
+    """Check that ``accepted``, which ``method`` has returned, is a setpoint of ``n`` axes. Raises PlugInError."""
+    if problem := _number_problem("a setpoint", accepted, (n,)):
+        raise wrong_return(device, method, problem)
+
+
 def checked_frames(device: str, method: Method, frames: object) -> Iterable[PoseFrame]:
     """Return ``frames``, which ``method`` has returned, if they are poses. Raises PlugInError."""
     if not isinstance(frames, list | tuple):

@@ -31,7 +31,7 @@ POINTS = 1500  # per line: more are not visible
 _WIDTH_IN = 11.0
 _TAIL = 0.005  # probability that the mean NIS is beyond either side of its band
 ROWS = (
-    ("position_m", "distance, m", ("x - 0.4 m", "y", "z")),
+    ("position_m", "distance, m", ("x - {0.axial_distance_m:g} m", "y", "z")),
     ("velocity_mps", "rate, m/s", ("x", "y", "z")),
     ("attitude_deg", "angle, deg", ("theta1", "theta2", "theta3")),
     ("rate_degps", "angular rate, deg/s", ("omega1", "omega2", "omega3")),
@@ -109,7 +109,7 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
     for row, (key, label, names) in enumerate(ROWS):
         whole, close = axes[row]
         for plot in (whole, close):
-            for i, name in enumerate(names):
+            for i, name in enumerate(each.format(requirements) for each in names):
                 line(plot, deviation.t_s, getattr(deviation, key)[:, i], color=COLOURS[i], label=name)
             if verdict.ready_time_s is not None:
                 plot.axvline(verdict.ready_time_s, color="0.4", linestyle=":", linewidth=1)

@@ -122,7 +122,7 @@ def difference(first: np.ndarray, second: np.ndarray, scenario: Scenario) -> Fig
     for row, (key, label, names) in zip(axes, figures.ROWS[:4:2], strict=True):
         for i, name in enumerate(names):
             of_a, of_b = getattr(a, key)[:, i], getattr(b, key)[:, i]
-            line(row[0], a.t_s, of_a, color=COLOURS[i], label=name)
+            line(row[0], a.t_s, of_a, color=COLOURS[i], label=name.format(scenario.requirements))
             line(row[0], a.t_s, of_b, color=COLOURS[i], linestyle="--")
             line(row[1], a.t_s, of_b - of_a, color=COLOURS[i])
         row[0].set_ylabel(label)

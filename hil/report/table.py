@@ -21,7 +21,7 @@ from hil.report.verdict import TABLE_V, Verdict
 
 _INDENT: Final = 12
 ROW_LABELS = {
-    "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
+    "position_m": ("distance", ("x - {0.axial_distance_m:g} m", "y", "z"), "mm", 1e3),
     "velocity_mps": ("rate", ("x", "y", "z"), "mm/s", 1e3),
     "attitude_deg": ("angle", ("theta1", "theta2", "theta3"), "deg", 1.0),
     "rate_degps": ("angular rate", ("omega1", "omega2", "omega3"), "deg/s", 1.0),
@@ -143,7 +143,7 @@ def ready_rows(scenario: str, verdict: Verdict, requirements: Requirements) -> I
             limit, here = allowed[name][i] * scale, verdict.worst[name][i] * scale
             theirs = f"{getattr(paper, name)[i] * scale:.4g}" if paper else "-"
             margin, word = f"{100.0 * (1.0 - here / limit):.0f} %", "ok" if here <= limit else "out"
-            yield label, axis, unit, f"{limit:.4g}", f"{here:.3g}", margin, theirs, word
+            yield label, axis.format(requirements), unit, f"{limit:.4g}", f"{here:.3g}", margin, theirs, word
 
 
 def _ready_phase(run: RunResults, verdict: Verdict, requirements: Requirements) -> Table:

@@ -54,14 +54,15 @@ def report(target: str) -> tuple[list[str], list[str]]:
         raise ValueError(f"FILE={target}: no statement")
     lines, run = [], dict[str, None]()
     if not MAP.is_file():
-        raise ValueError(f"{MAP.relative_to(ROOT)}: is missing; make slow measures it")
+        raise ValueError(f"{MAP.relative_to(ROOT)}: is missing: python -m tests.support.line_tests measures it")
     known = LineMap(MAP)
     for block in blocks:
         tests, same = known.tests(block, line)
         shown = tests if line is not None else tests[:_SHOWN]
         run |= dict.fromkeys(shown)
         head = f"{block.first:4}-{block.last:<4}{' ' if same else '~'} {block.name}"
-        lines += [head, *(f"            {test}" for test in shown or ["no test"])]
+        more = [f"({len(tests) - len(shown)} more: FILE=...:LINE)"] if len(tests) > len(shown) else []
+        lines += [head, *(f"            {test}" for test in [*shown, *more] or ["no test"])]
     return lines, list(run)
 
 

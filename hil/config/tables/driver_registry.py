@@ -206,7 +206,9 @@ def _package(point: EntryPoint) -> str:
 
 def _imported(path: str) -> Any:
     module, _, name = path.partition(":")
-    return getattr(import_module(module), name)
+    if not hasattr(imported := import_module(module), name):
+        raise AttributeError(f"entry {path!r}: the module has no {name!r}")
+    return getattr(imported, name)
 
 
 def _made(device: str, path: str, *args: Any, **kwargs: Any) -> Any:

@@ -145,7 +145,7 @@ class ArmPath:
         self.delivered = t_s, axes, np.zeros(len(axes))
 
     def go_on(self, position: Array, rate: Array, t_s: float, brakes: bool = False) -> None:
-        """Go on to ``position`` (n,) at ``rate``; unless it ``brakes``, at a speed and to where the robot can brake.
+        """Move to ``position`` (n,) at ``rate``; unless it ``brakes``, at a speed and to where the robot can brake.
 
         Raises Unreachable, and then stays where it is.
         """

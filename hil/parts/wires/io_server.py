@@ -21,7 +21,7 @@ from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
-from hil.drivers.returned import checked_feedback, checked_frames
+from hil.drivers.returned import checked_feedback, checked_frames, checked_setpoint
 from hil.drivers.setpoint_limiter import compile_profile
 from hil.drivers.split_axes import make_drivers
 from hil.errors import BenchError, LinkLost
@@ -105,7 +105,8 @@ class IoServer(DeviceServer):
             call(name, device.set_jogging, kind == io_layout.JOGGED)
         if isinstance(device, LimitsSetpoints):
             call(name, device.set_limits, setpoint["rate_max"], setpoint["acceleration_max"])
-        call(name, device.send, position, rate, sent_s)
+        accepted = call(name, device.send, position, rate, sent_s)
+        checked_setpoint(name, device.send, accepted, len(device.axis_names))
 
     def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:
         self._feedback_s[name] = feedback.t_s

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.core.messages import AxisFeedback, Homing, IoInputs, PoseFrame
-from hil.drivers.returned import checked_feedback, checked_frames, checked_inputs
+from hil.drivers.returned import checked_feedback, checked_frames, checked_inputs, checked_setpoint
 from hil.errors import PlugInError
 
 FEEDBACK = AxisFeedback(1.0, np.zeros(3), np.zeros(3))
@@ -58,3 +58,10 @@ def test_sound_returns_pass() -> None:
     assert checked_inputs("io", Driver().read, inputs) is inputs
     with pytest.raises(PlugInError, match=r"io: Driver\.read returned True, expected IoInputs"):
         checked_inputs("io", Driver().read, True)
+
+
+@pytest.mark.parametrize("accepted", [None, "sent", np.zeros(2), [0.0, 0.0, np.nan]])
+def test_setpoint_that_is_none_is_not_accepted(accepted: object) -> None:
+    with pytest.raises(PlugInError, match=r"rails: Driver\.read returned a setpoint .*expected \(3,\) finite numbers"):
+        checked_setpoint("rails", Driver().read, accepted, 3)
+    checked_setpoint("rails", Driver().read, np.zeros(3), 3)

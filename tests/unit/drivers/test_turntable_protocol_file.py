@@ -20,8 +20,10 @@ def altered(tmp_path, old, new, base="hil-ascii"):
 
 
 def test_shipped_protocols_are_found_by_name():
-    assert shipped("protocols") == ["acu", "hil-ascii"]
-    with pytest.raises(BadInput, match="unknown protocol: give acu, hil-ascii or the path of a protocol file"):
+    assert shipped("protocols") == ["acu", "aerotech-ensemble", "hil-ascii"]
+    with pytest.raises(
+        BadInput, match="unknown protocol: give acu, aerotech-ensemble, hil-ascii or the path of a protocol file"
+    ):
         load_protocol("nmea")
 
 
