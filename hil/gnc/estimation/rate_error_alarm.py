@@ -51,9 +51,9 @@ def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, no
         if nis <= akf.gate:
             rejected = 0
             for i in range(3):
-                found, s = innovation[3 + i] / math.sqrt(gain[i]), gain[i]
-                turned[i] -= p00[i] * s * found
-                drift[i] += p01[i] * s * found
+                off, s = innovation[3 + i] / math.sqrt(gain[i]), gain[i]
+                turned[i] -= p00[i] * s * off
+                drift[i] += p01[i] * s * off
                 p11[i] -= p01[i] * s * p01[i]
                 p01[i] *= 1.0 - p00[i] * s
                 p00[i] *= 1.0 - p00[i] * s

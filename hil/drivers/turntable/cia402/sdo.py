@@ -159,9 +159,9 @@ class DriveObjects:
         """
         is_movable = self._eds.can_write(pdo.parameter, 1)
         identifier = self._invalidated(pdo) if is_movable else 0
-        if not is_movable and (found := self.get(pdo.parameter, 4, 1)) & _WITHOUT_RTR != pdo.identifier + self.node_id:
+        if not is_movable and (given := self.get(pdo.parameter, 4, 1)) & _WITHOUT_RTR != pdo.identifier + self.node_id:
             name = codec.object_name(pdo.parameter, 1)
-            raise ProtocolError(self.axis, f"object {name} is 0x{found & 0xFFFF_FFFF:X}: the driver cannot change it")
+            raise ProtocolError(self.axis, f"object {name} is 0x{given & 0xFFFF_FFFF:X}: the driver cannot change it")
         if self._eds.can_write(pdo.parameter, 2) or pdo.parameter >= codec.FEEDBACK_PDO.parameter:
             self.set(pdo.parameter, pdo.transmission, 1, subindex=2)  # a fixed one of a setpoint: it acts at once
         mapping = [index << 16 | subindex << 8 | bits for index, subindex, bits in pdo.mapping]
