@@ -60,7 +60,7 @@ def command_line() -> str:
     """Return the page of all commands, as ``--help`` shows them."""
     text = app.generate_docs(heading_level=1, max_heading_level=3)
     start = text.index("## hil run")
-    body = re.sub(r" \*\[default: \(\)\]\*| -m docs\.generate", "", text[start:])
+    body = re.sub(r" \*\[default: \(\)\]\*|(?<=[a-z]) -m [\w.]+(?=\s)", "", text[start:])
     intro = """# Command line
 
 `hil COMMAND --help` shows the same. Every command ends with one of these exit codes:

@@ -29,7 +29,7 @@ def trajectory(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Fi
     truth, reference, estimate = (history[name]["r_CT_H"] for name in ("truth", "reference", "navigation"))
     valid = history["navigation"]["valid"] == 1
     corridor = gnc_params.approach_monitor(scenario)
-    radius = np.maximum(corridor.minimum_radius, corridor.cone * np.sqrt((reference**2).sum(axis=1)))
+    radius = np.maximum(corridor.minimum_radius, corridor.cone * np.sqrt((reference * reference).sum(axis=1)))
     for plot, axis in zip(axes[0], (1, 2), strict=True):
         for side in (-1.0, 1.0):
             label = "corridor" if side > 0.0 else None

@@ -6,6 +6,7 @@ Session and replay take over the same records at the same cycle: both have the s
 from __future__ import annotations
 
 import base64
+import lzma
 
 import numpy as np
 
@@ -32,13 +33,16 @@ def check_in_flight(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
 
 
 def packed(params: np.record) -> str:
-    """Return ``params`` (GNC_PARAMS) as text, to be sent between processes."""
-    return base64.b64encode(params.tobytes()).decode()
+    """Return ``params`` (GNC_PARAMS) as text, to be sent between processes in one packet."""
+    return base64.b64encode(lzma.compress(params.tobytes(), preset=0)).decode()
 
 
 def unpacked(text: str) -> np.record:
     """Return GNC_PARAMS from a text of ``packed``. Raises ValueError for any other text."""
-    data = base64.b64decode(text, validate=True)
+    try:
+        data = lzma.LZMADecompressor().decompress(base64.b64decode(text, validate=True), GNC_PARAMS.itemsize + 1)
+    except lzma.LZMAError as error:
+        raise ValueError(f"no parameters: {error}") from error
     if len(data) != GNC_PARAMS.itemsize:
         raise ValueError(f"{len(data)} bytes of parameters, expected {GNC_PARAMS.itemsize}")
     params: np.record = np.frombuffer(data, GNC_PARAMS).view(np.recarray)[0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import lzma
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,6 +33,7 @@ from hil.session.live_tuning import packed
 from tests.support.run_settings import make_job
 
 LEASE_S = 1.0
+SHORT = base64.b64encode(lzma.compress(b"abc")).decode()
 DEADBAND = "gnc.control.deadband_deg"
 
 
@@ -369,7 +372,7 @@ def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_al
     def script(talk: Talk) -> None:
         talk.fly()
         running = talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5
-        for number, (key, text) in enumerate(((DEADBAND, records), ("step_s", records), (DEADBAND, "AAAA"))):
+        for number, (key, text) in enumerate(((DEADBAND, records), ("step_s", records), (DEADBAND, SHORT))):
             if talk.once(f"change {number}", running):
                 talk.send(adjust={"key": key, "value": 90, "records": text}, by="ann", id=10 + number)
 

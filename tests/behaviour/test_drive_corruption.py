@@ -63,7 +63,7 @@ def test_true_motion_is_never_taken_for_damage() -> None:
             clock.sleep(GRID_S)
             device.read(clock.now_s())
         assert device.counters()["protocol_errors"] == 0
-        emulator.faults.on("jump", "yaw", math.radians(0.7))
+        emulator.faults.on("jump", "yaw", 0.7)
         for _ in range(20):
             clock.sleep(GRID_S)
             device.read(clock.now_s())

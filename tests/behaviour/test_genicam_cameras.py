@@ -141,7 +141,7 @@ MAKES = {
     "no selector of exposures": (
         made(trigger_selector="ExposureActive"),
         {},
-        "trigger selector ExposureActive: allowed FrameStart, ExposureStart, AcquisitionStart",
+        "trigger: <FrameStart> or",
     ),
 }
 

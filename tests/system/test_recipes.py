@@ -26,6 +26,7 @@ STEP = re.compile(
 SHELL = """
 set -e
 hil() { "$PYTHON" -m hil "$@"; }
+python() { "$PYTHON" "$@"; }
 pytest() { "$PYTHON" -m pytest -q -n 0 -p no:cacheprovider "$@"; }
 pip() { "$PYTHON" -m pip install --quiet --no-deps --no-build-isolation --no-index --target "$SITE" "${@: -1}"; }
 """

@@ -107,6 +107,7 @@ RIG_LIMITS: Final = (
     Limit("floating.start_error_max_deg", "a run from another start than the plan's", 20.0, 90.0, 180.0),
     Limit("imu.timeout_s", "gyros of the table that are silent", 0.2, 0.5, 3600.0),
     Limit("arm.timeout_s", "silence of the controller of a robot", 0.2, 0.5, 1.0),
+    Limit("target_arm.timeout_s", "silence of the controller of the target's robot", 0.2, 0.5, 1.0),
     Limit("io.timeout_s", "silence of the coupler of the safety chain", 1.0, 2.0, 3600.0),
     Limit("io.pump_timeout_s", "torque of a controller that is dead or hangs", 0.2, 1.0, 60.0),
     Limit("io.torque_delay_s", "torque after the safety chain has opened", 0.5, 1.0, 3600.0),

@@ -46,7 +46,7 @@ from hil.session.live_tuning import unpacked
 STATUS_PERIOD_WALL_S: Final = 0.05
 _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
-_PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
+_PACKET: Final = 1 << 18  # the parameters of a changed setting take up to 70 kB
 NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""

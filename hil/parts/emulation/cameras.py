@@ -18,6 +18,7 @@ import numpy as np
 
 from hil.config.tables.cameras import CameraHabits
 from hil.core.clock import WallClock
+from hil.drivers.cameras.base import EXPOSURE_STARTS
 from hil.drivers.cameras.libaravis import FILL, Aravis, aravis
 from hil.errors import LinkLost
 from hil.parts.emulation.fault_injection import Faults
@@ -129,6 +130,8 @@ def _description(library: Aravis, habits: CameraHabits) -> bytes:
     length, plain = ctypes.c_size_t(), library.fake_camera_new(b"PLAIN")
     address = library.fake_camera_get_genicam_xml(plain, ctypes.byref(length))
     text = ctypes.string_at(address, length.value).replace(b"FrameStart", habits.trigger_selector.encode())
+    if habits.trigger_selector not in EXPOSURE_STARTS:
+        text = text.replace(b'EnumEntry Name="AcquisitionStart"', b'EnumEntry Name="AcquisitionActive"')
     library.unref(plain)
     if habits.gain_unit is None:
         return text
