@@ -74,10 +74,9 @@ def ephemeris_limit(scenario: Scenario, rig: Rig, length_s: float, seed: int | N
     seed: of the run, if the poses are simulated with its noise.
     """
     gnc = scenario.gnc
-    orbits = scenario.truth.relative_motion == "nonlinear" and scenario.target.motion == "aligned"
     if not (
         length_s > 0.0
-        and orbits
+        and scenario.truth_orbits
         and rig.has_vmu
         and gnc.binary is None
         and gnc.navigation.backend in BUILT_IN["navigation"]

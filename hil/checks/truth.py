@@ -79,13 +79,13 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
 
 
 def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
-    truth, orbit, errors = scenario.value.truth, scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
+    orbit, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= orbit.eccentricity <= 0.7:
         key = "gnc.ephemeris.eccentricity_error"
         text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to 0.7"
         problems.append(Problem(scenario.where(key), key, text))
-    if errors.gravity_degree and (truth.relative_motion != "nonlinear" or scenario.value.target.motion != "aligned"):
+    if errors.gravity_degree and not scenario.value.truth_orbits:
         key = "gnc.ephemeris.gravity_degree"
         text = (
             f"{errors.gravity_degree}: harmonics move a target with "

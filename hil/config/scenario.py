@@ -848,6 +848,11 @@ class Scenario(FileTable):
         return self
 
     @property
+    def truth_orbits(self) -> bool:
+        """Whether the truth integrates the orbit of a target that is aligned with its Hill frame."""
+        return self.truth.relative_motion == "nonlinear" and self.target.motion == "aligned"
+
+    @property
     def models(self) -> dict[str, ModelFmu]:
         """Parts of the plant that are in FMUs."""
         parts: dict[str, ModelFmu] = {"thrusters": self.thrusters, "truth": self.truth, "imu": self.imu}

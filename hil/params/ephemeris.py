@@ -35,7 +35,7 @@ def longest_run_s(known: Orbit) -> float:
 def known_ephemeris(scenario: Scenario) -> np.record:
     """Return EPHEMERIS of the GNC; about a point mass it has no rows. Raises GravityFileError."""
     params, degree = new(EPHEMERIS), scenario.gnc.ephemeris.gravity_degree
-    if degree >= 2 and scenario.truth.relative_motion == "nonlinear" and scenario.target.motion == "aligned":
+    if degree >= 2 and scenario.truth_orbits:
         known = dynamics.known_orbit(scenario)
         params.n, params.interval_s = ROWS_MAX, row_interval_s(known)
         params.row = _known_rows(scenario.orbit, known, degree, scenario.truth.gravity_file)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.gnc.approach_monitor import corridor_radius
 from hil.params import gnc as gnc_params
 from hil.report import figures
 from hil.report.consistency import STATES, Nees, nees_of
@@ -29,7 +30,8 @@ def trajectory(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Fi
     truth, reference, estimate = (history[name]["r_CT_H"] for name in ("truth", "reference", "navigation"))
     valid = history["navigation"]["valid"] == 1
     corridor = gnc_params.approach_monitor(scenario)
-    radius = np.maximum(corridor.minimum_radius, corridor.cone * np.sqrt((reference * reference).sum(axis=1)))
+    distances = np.sqrt((reference * reference).sum(axis=1))
+    radius = np.array([corridor_radius(corridor, distance) for distance in distances])
     for plot, axis in zip(axes[0], (1, 2), strict=True):
         for side in (-1.0, 1.0):
             label = "corridor" if side > 0.0 else None

@@ -14,7 +14,7 @@ from canopen.sdo.server import SdoServer
 from hil.config.rig import Cia402
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.eds import SHIPPED
-from hil.drivers.turntable.cia402.eds_file import Variable, read_data_sheet
+from hil.drivers.turntable.cia402.eds_file import MAPPED_MAX, Variable, read_data_sheet
 from hil.drivers.turntable.cia402.units import velocity_per_radps
 
 _NO_SUCH_OBJECT = 0x06020000
@@ -32,7 +32,6 @@ _PDOS = [
     for pdo in (codec.SETPOINT_PDO, codec.FEEDBACK_PDO)
     for number in range(codec.PDOS_OF_A_NODE)
 ]
-_MAPPED_MAX = 8
 _MAPPINGS = frozenset((*range(0x1600, 0x1800), *range(0x1A00, 0x1C00)))
 _FORMATS = {8: "b", 16: "H", 32: "i"}  # formats of mappable objects, by bits
 _TRANSMISSIONS = (*range(241), 254, 255)
@@ -93,7 +92,7 @@ class ObjectDictionary:
             if key[0] not in self.habits.missing
         }
         for index in [index for (index, sub), entry in self.entries.items() if not sub and entry.writable]:
-            for sub in range(1, (_MAPPED_MAX if index in _MAPPINGS else 0) + 1):
+            for sub in range(1, (MAPPED_MAX if index in _MAPPINGS else 0) + 1):
                 self.entries.setdefault((index, sub), Object(4, writable=True))
         self._set_up(config, watchdog_ms, variables)
         self.object_dictionary = canopen.ObjectDictionary()  # of canopen's server, which asks for the data alone

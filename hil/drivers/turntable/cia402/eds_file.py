@@ -35,7 +35,7 @@ _UNSIGNED16: Final = 0x06
 _UNSIGNED32: Final = 0x07
 _PDO_TYPES: Final = {1: _UNSIGNED32, 2: _UNSIGNED8, 3: _UNSIGNED16, 5: _UNSIGNED16}
 _PDOS_MAX: Final = 512
-_MAPPED_MAX: Final = 8
+MAPPED_MAX: Final = 8
 _COMPOSED: Final = (0x8, 0x9)  # object types: array, record
 _TEXTS: Final = (0x09, 0x0A, 0x0B)
 _SIGNED: Final = (0x02, 0x03, 0x04, 0x10, 0x15)
@@ -159,7 +159,7 @@ def _compact_pdos(name: str, options: _Options, notes: list[str]) -> dict[tuple[
             index = parameters + number
             for sub in (sub for sub in _PDO_TYPES if bits >> sub - 1 & 1):
                 variables[index, sub] = Variable(index, sub, f"{name} CompactPDO", _PDO_TYPES[sub], "rw")
-            for sub in range(_MAPPED_MAX + 1):
+            for sub in range(MAPPED_MAX + 1):
                 kind = _UNSIGNED32 if sub else _UNSIGNED8
                 variables[mappings + number, sub] = Variable(mappings + number, sub, f"{name} CompactPDO", kind, access)
     return variables
