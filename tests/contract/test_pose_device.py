@@ -26,7 +26,7 @@ from hil.core.messages import Array
 from hil.drivers.arm.device import make_arms
 from hil.drivers.arm.model import ArmKinematics
 from hil.drivers.base import AxisGroup
-from hil.errors import DeviceError, LinkLost
+from hil.errors import BadInput, DeviceError, LinkLost
 from hil.params import bench as bench_params
 from hil.parts.emulation.lock_step import LockStepConductor
 from hil.parts.emulation.shared_state import SharedAxisState
@@ -336,3 +336,17 @@ def test_robot_shows_the_truth_and_its_verdict_is_that_of_rails(rig_file: str) -
     assert abs(robot["ready_time_s"] - rails["ready_time_s"]) < 0.2
     assert robot["bench"]["true_pose_error_mm"]["max"] < 0.1
     assert robot["bench"]["true_pose_error_deg"]["max"] < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag_ms", [12.0, 20.0, 40.0])
+def test_lag_of_a_robot_is_compensated_or_refused_by_its_cost(lag_ms: float) -> None:
+    """pytest -m slow tests/contract/test_pose_device.py"""
+    of_robot = {"rig.arm.abb_egm.emulated_lag_s": 1e-3 * lag_ms, "rig.arm.lag_s": 1e-3 * lag_ms + 0.003}
+    leads = [dict.fromkeys((f"rig.{axis}.lead_s" for axis in BENCH_AXES), s) for s in (0.0, of_robot["rig.arm.lag_s"])]
+    with pytest.raises(BadInput, match=r"rails\.x\.lead_s: 0: leaves .* ms of arm\.lag_s"):
+        hil.run("scheme-1", rig=RIGS["arm.abb_egm"], overrides=LOCK_STEP | of_robot | leads[0])
+    run = hil.run("scheme-1", rig=RIGS["arm.abb_egm"], overrides=LOCK_STEP | of_robot | leads[1])
+    assert run.summary["passed"]
+    assert run.summary["bench"]["true_pose_error_mm"]["max"] < 0.1
+    assert run.summary["bench"]["true_pose_error_deg"]["max"] < 0.01

@@ -82,8 +82,11 @@ def test_tracker_that_sees_nothing_gives_no_verdict() -> None:
     assert [each["code"] for each in run.summary["alarms"]] == ["samples"]
 
 
-def standing(*settings: str) -> list[bool]:
-    """Return what the comparison before the first motion returns in each cycle, of a bench that stands."""
+def standing(*settings: str, moved_m: float = 0.0) -> list[bool]:
+    """Return what the comparison before the first motion returns in each cycle, of a bench that stands.
+
+    moved_m: by which it is jogged after 20 cycles, within 1 s.
+    """
     keys = [*(f"{key}={json.dumps(value)}" for key, value in TRACKER.items()), *settings]
     job = Job(load_scenario("scheme-1"), load_rig("mock", keys), 1, 1.0, 1.0)
     with runner(job) as opened:
@@ -95,7 +98,11 @@ def standing(*settings: str) -> list[bool]:
         feedback.rail_m, feedback.gimbal_rad = rails.servo.position, turntable.servo.position
         done = [False]
         while not done[-1]:
-            done.append(watch.check_standing(0.02 * (len(done) - 1), feedback))
+            gap_s = 1.0 if moved_m and len(done) > 20 else 0.0
+            if moved_m and len(done) == 21:
+                rails.servo.position[0] += moved_m
+                feedback.rail_m = rails.servo.position
+            done.append(watch.check_standing(0.02 * (len(done) - 1) + gap_s, feedback))
         watch.close()
     return done[1:]
 
@@ -103,6 +110,10 @@ def standing(*settings: str) -> list[bool]:
 def test_comparison_before_motion_takes_half_a_second_of_samples_and_leaves_a_silent_tracker_to_the_run() -> None:
     assert 50 < len(standing()) < 70  # the target is measured first
     assert len(standing('rig.tracker.faults=[{kind = "no_pose", at_s = 0.0}]')) == 151
+
+
+def test_comparison_begins_again_after_a_motion() -> None:
+    assert len(standing(moved_m=0.2)) == 20 + len(standing())
 
 
 @pytest.mark.parametrize(
