@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
-import threading
 from collections import Counter, deque
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import serial
 
 from hil.core.clock import BenchClock
 from hil.core.line_protocol import BITS_PER_BYTE, LONGEST_LINE, LineProtocol
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.serial_port import open_serial
+from hil.drivers.wire_reader import READ_WALL_S, WireReader
 from hil.errors import LinkLost
 
-_READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _KEPT: Final = 64  # samples that the loop has not asked for
 _REASON: Final = 100  # characters
 
@@ -43,24 +40,26 @@ class LineSensor:
     ) -> None:
         self.name = name
         self.refused: Counter[str] = Counter()
-        self.failure = ""
-        """Why the wire is gone, "" while it is there."""
         self._number, self._n, self._protocol, self._clock = number, n, protocol, clock
         self._baud, self._latency_s = settings.baud or protocol.baud, settings.latency_s
         self._lines: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_KEPT)  # time of measurement, components
         self._count, self._pending = 0, b""
-        self._ending = threading.Event()
         self.last_s = clock.now_s()
         """Bench time of the last usable line, at first of the opening."""
         try:
-            self._port = open_serial(
-                clock, settings.port, self._baud, timeout=_READ_WALL_S, write_timeout=_READ_WALL_S, exclusive=True,
+            port = open_serial(
+                clock, settings.port, self._baud, timeout=READ_WALL_S, write_timeout=READ_WALL_S, exclusive=True,
                 **_framing(settings.port, protocol),
             )  # fmt: skip
-            self._port.write(protocol.start)
+            port.write(protocol.start)
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             raise LinkLost(name, f"cannot open {settings.port}: {cause}") from cause
-        self._reader = clock.start_thread(lambda: self._read(self._port), f"{name}-reader")
+        self._reader = WireReader(name, port, clock, self._take)
+
+    @property
+    def failure(self) -> str:
+        """Why the wire is gone, "" while it is there."""
+        return self._reader.failure
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
         """Return what has arrived since the last call, (n,) of SENSOR_SAMPLE, in the run's time; never waits.
@@ -78,22 +77,7 @@ class LineSensor:
 
     def close(self) -> None:
         """Stop the sensor, end the reader and close the port; may be called more than once, never raises."""
-        self._ending.set()
-        with contextlib.suppress(Exception):  # the port may be gone already; that is what is wanted
-            self._port.write(self._protocol.stop)
-            self._port.cancel_read()
-        self._clock.join(self._reader, 2.0 * _READ_WALL_S)
-        with contextlib.suppress(Exception):
-            self._port.close()
-
-    def _read(self, port: serial.Serial) -> None:
-        try:
-            while not self._ending.is_set():
-                data = port.read(max(1, port.in_waiting))
-                self._take(data, self._clock.now_s())
-        except Exception as cause:  # any error that ends the thread is reported to the cycle
-            if not self._ending.is_set():
-                self.failure = f"{port.port}: {cause}"
+        self._reader.close(self._protocol.stop)
 
     def _take(self, data: bytes, received_s: float) -> None:
         """Split what was received by ``received_s`` into lines."""

@@ -6,8 +6,7 @@ from hil.config.rig import Vmu
 from hil.core.clock import BenchClock
 from hil.drivers.datagrams import DatagramPort
 from hil.drivers.vmu.driver import Rs422Vmu
-
-_READ_WALL_S = 0.1
+from hil.drivers.wire_reader import READ_WALL_S
 
 
 class UdpVmu(Rs422Vmu):
@@ -23,4 +22,4 @@ class UdpVmu(Rs422Vmu):
         self._reset(0.0)
 
     def _open_port(self) -> DatagramPort:
-        return DatagramPort(self._clock, self._settings.host, self._settings.port, _READ_WALL_S)
+        return DatagramPort(self._clock, self._settings.host, self._settings.port, READ_WALL_S)

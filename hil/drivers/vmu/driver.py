@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import threading
 from collections import deque
 from dataclasses import replace
 from typing import Any, Final
@@ -18,10 +16,10 @@ from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
 from hil.drivers.vmu.entry import frames_of
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.drivers.vmu.unit_clock import UnitClock
+from hil.drivers.wire_reader import READ_WALL_S, WireReader
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
 _LOOK_WALL_S: Final = 0.01
-_READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
 _HISTORY: Final = 64  # frames; 10 s of a unit at 6.25 Hz
@@ -54,13 +52,11 @@ class Rs422Vmu:
         self._fastest_s = config.processing_s + _BITS_PER_BYTE * self._codec.size / self._line.baud
         self._clock = clock
         self._address = self._line.port
-        self._port: Any = None
-        self._reader: threading.Thread | None = None
+        self._reader: WireReader | None = None
         self._reset(0.0)
 
     def _reset(self, now_s: float) -> None:
         self._opened_s = now_s
-        self._ending = threading.Event()
         self._received: Latest[bool] = Latest(self.name)  # time of the last valid frame
         self._newest: int | None = None  # frame counter
         self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
@@ -81,13 +77,12 @@ class Rs422Vmu:
         if self._address is None:
             raise LinkLost(self.name, "rs422.port is not set")
         try:
-            self._port = self._open_port()
+            port = self._open_port()
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             self.close()
             raise LinkLost(self.name, f"cannot open {self._address}: {cause}") from cause
         self._received.put(True, now_s)
-        port = self._port
-        self._reader = self._clock.start_thread(lambda: self._read(port), "vmu-reader")
+        self._reader = WireReader(self.name, port, self._clock, self._receive)
         try:
             self._check_identity(now_s)
         except DeviceError:
@@ -96,7 +91,7 @@ class Rs422Vmu:
 
     def _open_port(self) -> Any:
         """Return the open port; pending bytes, which it discards, have an unknown time of reception."""
-        return open_serial(self._clock, self._line.port or "", self._line.baud, timeout=_READ_WALL_S, exclusive=True)
+        return open_serial(self._clock, self._line.port or "", self._line.baud, timeout=READ_WALL_S, exclusive=True)
 
     def _check_identity(self, now_s: float) -> None:
         """Wait for the identity frame and check it, if the rig file requires an identity."""
@@ -104,7 +99,7 @@ class Rs422Vmu:
         if not expected:
             return
         while (identity := self._decoder.identity) is None:
-            self._received.check()
+            self._check()
             if self._clock.now_s() - now_s > _IDENTITY_WAIT_S:
                 raise LinkTimeout(self.name, f"no identity frame within {_IDENTITY_WAIT_S:g} s{self._hint()}")
             self._clock.sleep(_LOOK_WALL_S)
@@ -119,56 +114,41 @@ class Rs422Vmu:
         Raises LinkTimeout after more than ``timeout_s`` without a new frame, LinkLost when the port is gone,
         DriveFault when the unit reports a fault.
         """
+        self._check()
         try:
             self._received.get(now_s, self._timeout_s)
         except LinkTimeout as silence:
             raise LinkTimeout(self.name, silence.what + self._hint()) from None
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
+    def _check(self) -> None:
+        """Raise the error that the unit has reported, or that of its wire."""
+        self._received.check()
+        if self._reader is not None:
+            self._reader.check()
+
     def counters(self) -> dict[str, int]:
         """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
         return self._counted() | self._clock_offset.numbers()
 
     def _counted(self) -> dict[str, int]:
-        decoder = self._decoder
-        return self._counts | {
-            "crc_errors": decoder.crc_errors,
-            "skipped_bytes": decoder.skipped_bytes,
-            "invalid": decoder.invalid,
-            "wrong_length": decoder.wrong_length,
-        }
+        return self._counts | self._decoder.counts()
 
     def close(self) -> None:
         """End the reader and close the port: well under 0.1 s, idempotent, never raises."""
-        self._ending.set()
         self._received.fail(LinkLost(self.name, "is closed"))
-        port, self._port = self._port, None
-        reader, self._reader = self._reader, None
-        if port is None:
-            return
-        with contextlib.suppress(Exception):  # the port may be gone already; that is what is wanted
-            port.cancel_read()
-        if reader is not None:
-            self._clock.join(reader, _READ_WALL_S)
-        with contextlib.suppress(Exception):
-            port.close()
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
 
     def _hint(self) -> str:
         """Return the counters, for diagnosis: a wrong baud rate shows as skipped bytes."""
         seen = ", ".join(f"{name} {count}" for name, count in self._counted().items() if count)
         return f" (since open: {seen})" if seen else ""
 
-    def _read(self, port: Any) -> None:
-        try:
-            while not self._ending.is_set():
-                data = port.read(max(1, port.in_waiting))
-                received_s = self._clock.now_s()
-                for decoded in self._decoder.feed(data, received_s):
-                    self._accept(decoded, received_s)
-        except Exception as cause:  # any error that ends the thread is reported to the cycle
-            error = LinkLost(self.name, f"{port.port}: {cause}")
-            error.__cause__ = cause
-            self._received.fail(error)
+    def _receive(self, data: bytes, received_s: float) -> None:
+        for decoded in self._decoder.feed(data, received_s):
+            self._accept(decoded, received_s)
 
     def _accept(self, decoded: Decoded, received_s: float) -> None:
         if self._sent_before_open(decoded.t_s, received_s):

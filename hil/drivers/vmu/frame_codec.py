@@ -146,6 +146,10 @@ class FrameDecoder:
         self._counter: int | None = None
         self._number = 0
 
+    def counts(self) -> dict[str, int]:
+        """Return what was received besides frames, by kind."""
+        return {name: getattr(self, name) for name in ("crc_errors", "skipped_bytes", "invalid", "wrong_length")}
+
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
         """Decode ``data``, whose last byte was received at bench time ``received_s``; return the completed frames."""
         self._buffer += data
