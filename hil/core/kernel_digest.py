@@ -27,6 +27,7 @@ from numba.core.extending import _Intrinsic
 _LENGTH: Final = 16
 _LOAD_GLOBAL, _EXTENDED_ARG = (opcode.opmap[name] for name in ("LOAD_GLOBAL", "EXTENDED_ARG"))
 _COMPILER: Final = ("numpy", "numba", "llvmlite")  # packages whose versions are in every digest
+_SOURCES: Final = ("jit.py", "kernel_library.py", "kernel_digest.py")
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), range, slice)
 OF_IMAGES: Final = ("hil.vmu.", "hil.parts.monitor.")
 _MAKERS: Final = frozenset({"array", "asarray", "carray", "copy", "empty", "full", "isfinite", "ones", "zeros"})
@@ -40,7 +41,7 @@ class NotDigestible(TypeError):
 def _compiler() -> str:
     """Return what every digest depends on: versions of the compiler, and the sources of its adaptation."""
     versions = f"{numba.__version__} {llvmlite.__version__} {platform.python_version_tuple()[:2]} {np.__version__}"
-    sources = b"".join((Path(__file__).with_name(name)).read_bytes() for name in ("jit.py", "kernel_library.py"))
+    sources = b"".join((Path(__file__).with_name(name)).read_bytes() for name in _SOURCES)
     return f"{versions} {hashlib.sha256(sources).hexdigest()}"
 
 

@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 from numba.core.codegen import JITCPUCodegen
 
@@ -60,6 +61,30 @@ def test_kernel_that_another_calls_is_bitcode_without_machine_code(ninth: Any) -
 def test_entry_holds_the_inlined_kernels_and_no_others(ninth: Any) -> None:
     functions = [f.name for f in library_of(ninth)._get_module_for_linking().functions]
     assert not any("_third" in name for name in functions), f"{_THIS}: not inlined, or left behind"
+
+
+def test_references_are_counted_where_arrays_are_made_and_not_in_the_loop() -> None:
+    from hil.maths import quat
+
+    for made, function in ((False, quat.normalise), (True, quat.to_matrix)):
+        compiled: Any = function
+        array = compiled(np.array([0.0, 0.0, 0.6, 0.8]))
+        code = str(library_of(compiled)._get_module_for_linking())
+        assert ("NRT_MemInfo_alloc" in code, "NRT_decref" in code) == (made, made), _THIS
+        assert (array is not None) == made
+
+
+def test_array_that_a_kernel_makes_lives_as_long_as_it_is_used() -> None:
+    from hil.maths import quat
+
+    turn, many = np.array([0.0, 0.0, 0.6, 0.8]), []
+    first = quat.to_matrix(turn)
+    for _ in range(1000):
+        many.append(quat.multiply(turn, quat.conjugate(turn)))
+        quat.normalise(turn)
+    np.testing.assert_array_equal(quat.to_matrix(turn), first)
+    np.testing.assert_allclose(many, [[0.0, 0.0, 0.0, 1.0]] * len(many), atol=1e-15)
+    assert {sys.getrefcount(array) for array in many} == {3}, f"{_THIS}: a reference too many, or too few"
 
 
 def test_names_in_the_code_do_not_depend_on_the_order_of_compilation() -> None:
