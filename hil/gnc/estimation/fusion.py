@@ -161,10 +161,10 @@ def _predict(params, state, step):
             target_motion.move(params.orbit, errors, params.akf.dt_s, filters.parameters, step.hill)
             copy_into(expected_drift, filters.akf.x[4:7])  # none of it is an error of the rate
         body_frame.correct_motion(step.hill, filters.akf, expected_drift, params.akf.dt_s, axes)
-        body_frame.enter_middle(axes, filters, errors.n)
+        body_frame.enter_middle(axes, filters, errors.n, errors.target_rate)
     joint_filter.predict(params, filters, step)
     if step.hill.rotates != 0:
-        body_frame.leave_middle(axes, filters, errors.n)
+        body_frame.leave_middle(axes, filters, errors.n, errors.target_rate)
         if errors.target_rate != 0:
             target_motion.carry_errors(params.orbit, errors, params.akf.dt_s, filters)
 
