@@ -1,6 +1,7 @@
-"""Python code in a fork of one process that has loaded the program and its kernels: a tenth of the time of a start.
+"""Python code in a fork of a process that has made the imports: a tenth of the time of a start.
 
-The code meets a process that has neither executed a command nor loaded code of a user.
+The code meets a process that has loaded the program and its kernels, but neither executed a command nor loaded code of
+a user; or one that has imported numba alone.
 """
 
 from __future__ import annotations
@@ -21,9 +22,14 @@ from typing import Any, NoReturn
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def forked(code: str, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Return the result of ``code``, executed in ``folder`` (default: this process's) without standard input."""
-    server = _server()
+def forked(
+    code: str, folder: Path | None = None, *, loaded: str = "program", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Return the result of ``code``, executed in ``folder`` (default: this process's) without standard input.
+
+    loaded: "program" or "numba".
+    """
+    server = _server(loaded)
     assert server.stdin is not None
     assert server.stdout is not None
     with tempfile.TemporaryDirectory() as outputs:
@@ -42,16 +48,16 @@ def hil(*arguments: str, before: str = "") -> subprocess.CompletedProcess[str]:
 
 
 @cache
-def _server() -> subprocess.Popen[str]:
+def _server(loaded: str) -> subprocess.Popen[str]:
     """Return the process that forks; it ends with this one."""
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", __name__]
+    command = [sys.executable, "-m", __name__, loaded]
     return subprocess.Popen(
         command, cwd=ROOT, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
 
 
-def _serve() -> None:
+def _load_program() -> None:
     import pytest  # noqa: F401
 
     import hil.cli.main
@@ -60,6 +66,14 @@ def _serve() -> None:
     import hil.report.page
 
     hil.run("scheme-1", duration_s=0.1)  # loads the kernels
+
+
+def _load_numba() -> None:
+    import numba  # noqa: F401
+
+
+def _serve(loaded: str) -> None:
+    {"program": _load_program, "numba": _load_numba}[loaded]()
     assert threading.active_count() == 1  # a fork has no other
     gc.collect()
     gc.freeze()  # no fork collects what it has not made
@@ -92,4 +106,4 @@ def _execute(request: Mapping[str, Any]) -> NoReturn:
 
 
 if __name__ == "__main__":
-    _serve()
+    _serve(sys.argv[1])
