@@ -53,7 +53,7 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
-	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
+	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --no-loadscope-reorder --durations 25
 
 slow: .venv/ready
 	$(PYTEST) -m slow --timeout 3600

@@ -16,6 +16,7 @@ from numba.core.codegen import JITCPUCodegen
 
 from hil.core.jit import kernel
 from hil.core.kernel_library import EntryLibrary, InlineLibrary, _KernelLibrary, whole_module
+from tests.support.forks import forked
 
 _THIS = f"numba {numba.__version__}"
 
@@ -89,18 +90,15 @@ def test_array_that_a_kernel_makes_lives_as_long_as_it_is_used() -> None:
 
 def test_names_in_the_code_do_not_depend_on_the_order_of_compilation() -> None:
     code = """
-import numpy as np, sys
+import numpy as np
 from hil.maths import limits, quat
-if sys.argv[1] == "after":
+if {0}:
     quat.normalise(np.ones(4))
 limits.cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
 (result,) = limits.cut_to_range.overloads.values()
 print(result.fndesc.mangled_name)
 """
-    names = [
-        subprocess.run([sys.executable, "-c", code, order], capture_output=True, text=True, check=True).stdout
-        for order in ("first", "after")
-    ]
+    names = [forked(code.format(after), loaded="numba").stdout for after in (False, True)]
     assert names[0] == names[1] != "", _THIS
 
 
