@@ -75,6 +75,14 @@ def test_version_is_the_same_in_all_files_and_the_changelog_has_its_date() -> No
         assert [each for each in own if not each.endswith(f">={VERSION}")] == [], path
 
 
+def test_metadata_are_of_a_version_that_indexes_take() -> None:
+    for path in (ROOT / "pyproject.toml", *(ROOT / "plugins").glob("*/pyproject.toml")):
+        targets = tomllib.loads(path.read_text())["tool"]["hatch"]["build"]["targets"]
+        assert {name: each["core-metadata-version"] for name, each in targets.items()} == {
+            "sdist": "2.4", "wheel": "2.4",
+        }  # fmt: skip
+
+
 def test_extra_named_for_a_missing_package_installs_it_and_is_in_all() -> None:
     extras = PROJECT["optional-dependencies"]
     (everything,) = extras["all"]
