@@ -14,7 +14,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AxisFeedback
 from hil.core.modes import Mode
-from hil.core.operator_commands import OperatorCommand
+from hil.core.operator_commands import TOO_LATE, OperatorCommand
 from hil.errors import LinkLost
 from hil.params import bench as bench_params
 from hil.report.summary import summarise
@@ -301,6 +301,36 @@ def test_jog_of_an_unknown_axis_is_refused_with_a_message() -> None:
     _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
     assert session.operator.rejections[0] == "bench: cannot jog rails.w by 1"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY]
+
+
+@pytest.mark.parametrize("must_stand", [False, True])
+def test_arm_is_refused_when_a_comparison_takes_longer_than_it_is_meant_and_acts_at_once_after_one(
+    must_stand: bool,
+) -> None:
+    stood_s: list[float] = []
+
+    def compare(now_s: float, feedback: np.record) -> bool:
+        stood_s.append(now_s)
+        if must_stand and len(stood_s) > 200:
+            raise LinkLost("tracker", "moved")
+        return now_s - stood_s[0] > 1.0
+
+    def script(session: Session) -> None:
+        for step, at_s in (("early", 0.2), ("later", 4.4)):
+            if session.once(step, session.now_s > at_s):
+                session.operator.submit(OperatorCommand.ARM, session.now_s + 0.5)
+        session.once("armed", session.mode is Mode.ARMED)
+        session.order_once(OperatorCommand.STOP, session.now_s > 5.5)
+
+    def prepare(session: Session) -> None:
+        session.runner.parts.before_motion.append(compare)
+        session.operator._wall_s = lambda: session.now_s
+
+    outcome, session = operate(script, plan=(), prepare=prepare)
+    assert list(session.operator.rejections) == [f"bench: arm {TOO_LATE} (the bench was compared before its motion)"]
+    assert ("armed" in session.marks) is not must_stand
+    assert [alarm.text for alarm in outcome.alarms] == (["tracker: moved"] if must_stand else [])
+    assert must_stand or session.marks["armed"] - session.marks["later"] < 0.1
 
 
 def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_armed_again() -> None:
