@@ -35,7 +35,7 @@ class CameraIdentity(ConfigModel):
     firmware: str | None = None
     """Version of its firmware."""
     lens: str | None = None
-    """Lens, focus and aperture, in words of the laboratory: no camera reports them."""
+    """Lens, focus and aperture, as the laboratory writes them: no camera reports them."""
     sensor_px: Pixels | None = None
     """Width and height of the sensor."""
     offset_px: Pixels | None = None

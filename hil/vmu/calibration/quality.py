@@ -48,7 +48,7 @@ def field(setup: Setup, range_m: float, by_hand: bool = False) -> list[tuple[Arr
     """Return the derivatives of a triangulated position by pixels and parameters, over the common field at ``range_m``.
 
     Each (3, 4), m/px, and (3, COMMON): the position that is triangulated from the same pixels with other parameters.
-    by_hand: without the rotation of all positions alike, as nothing but the calibration defines the cameras' axes.
+    by_hand: without the rotation of all positions alike, as the calibration alone defines the cameras' axes.
     """
     return [(inverse, gain) for inverse, gain, _ in _sensitivities(setup, range_m, by_hand)]
 

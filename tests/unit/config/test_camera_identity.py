@@ -1,4 +1,4 @@
-"""Identity of cameras: another camera, region or orientation is refused with key and values; bare images say so."""
+"""Identity of cameras: another camera, region or orientation is refused with key and values."""
 
 from __future__ import annotations
 

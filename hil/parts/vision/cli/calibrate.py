@@ -365,7 +365,7 @@ def _calibrate(
 def _identities(
     views: Path, given: dict[str, CameraIdentity | None], source: str, date: str | None
 ) -> dict[str, CameraIdentity | None]:
-    """Return the identities of the cameras of ``views``, a folder or a CSV file in it; say if there are none.
+    """Return the identities of the cameras of ``views``, a folder or a CSV file in it; print if there are none.
 
     given: those of ``source``, of which the cameras of the views must be. Raises BadInput.
     """
