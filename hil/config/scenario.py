@@ -33,9 +33,9 @@ from hil.config.tables.open_table import FileTable
 from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
-from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
+from hil.config.tables.truth import Ephemeris, KnownMode, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
 from hil.core.gnc_records import MAX_SETTINGS
-from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
+from hil.core.messages import MAX_FAULTS, MAX_MODES, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX
 from hil.errors import did_you_mean
 from hil.maths import linear
@@ -580,6 +580,8 @@ class GncConfig(ConfigModel):
     """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
     ephemeris: Ephemeris = Ephemeris()
+    modes: Annotated[dict[str, KnownMode], Field(max_length=MAX_MODES)] = Field(default_factory=dict)
+    """Bending modes and slosh that filters and control allow for, by name; the truth has its own."""
     target: KnownTarget = KnownTarget()
     akf: AttitudeFilter
     pkf: PositionFilter
