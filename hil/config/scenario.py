@@ -513,6 +513,8 @@ class Reactions(ConfigModel):
     """The encoders of the bench contradict the estimate."""
     sensor_suspect: PhaseReactions = _CONTINUE
     """A further sensor contradicts the others and is excluded."""
+    cause_unknown: PhaseReactions | None = None
+    """Innovations contradict their covariance, and not for the vision unit alone; unless set, as `vision_suspect`."""
     unprotected: PhaseReactions = PhaseReactions()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
     hold_max_s: Positive = 60.0
@@ -529,6 +531,7 @@ class Reactions(ConfigModel):
             self.covariance_invalid,
             self.bench_disagrees,
             self.sensor_suspect,
+            self.cause_unknown or self.vision_suspect,
             self.unprotected,
         )
 
