@@ -2,7 +2,7 @@
 
 About a point mass a target in low orbit drifts out of its ephemeris within hours, because harmonics change eccentricity
 and plane of its orbit. What breaks first is not the relative motion, but the attitude: the rate of H that the GNC has
-is off, and the innovations of sound poses accuse the vision unit.
+is off, and the innovations of sound poses have a mean.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class EphemerisLimit(NamedTuple):
         last = "the end" if math.isinf(self.longest_s) else f"{self.longest_s / 3600.0:.2g}"
         return (
             f"the GNC's orbit is good for {self.good_for_s / 3600.0:.2g} h of {length_s / 3600.0:.3g} h, by the noise "
-            f"of the poses {self.shortest_s / 3600.0:.2g} to {last}: {off}, and vision is accused; {degrees}"
+            f"of the poses {self.shortest_s / 3600.0:.2g} to {last}: {off}, and the innovations become inconsistent; {degrees}"
         )
 
 
