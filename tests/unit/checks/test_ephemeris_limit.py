@@ -52,6 +52,17 @@ def test_vision_is_accused_at_the_limit() -> None:
         assert float(stats.integrity.limits.aborted_at_s) == pytest.approx(limit.good_for_s, rel=0.02)
 
 
+def test_line_states_the_nees_of_a_run_that_no_alarm_ends() -> None:
+    scenario = load_scenario("leo-vbar", ("duration_s=5000",)).value
+    limit = ephemeris_limit(scenario, RIG, 5000.0, None)
+    assert limit is not None
+    assert math.isinf(limit.good_for_s)
+    (line,) = ephemeris_warnings(scenario, RIG, 5000.0)
+    assert f"mean NEES {limit.nees:.2g}, 6 expected" in line
+    stats, _ = CaseRunner(scenario, RIG, 5000.0).run(scenario, 0)
+    assert navigation_means(stats.navigation, SETTLED)["nees_akf"] == pytest.approx(limit.nees, rel=0.2)
+
+
 def test_filters_follow_the_harmonics_of_their_ephemeris() -> None:
     perturbed = ("gnc.ephemeris.gravity_degree=6", "gnc.ephemeris.rate_sigma_degps=[0,3e-7,1e-8]")
     scenario, length_s = load_scenario("leo-vbar", perturbed).value, 4400.0
