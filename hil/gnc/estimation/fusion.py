@@ -52,7 +52,7 @@ NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 FUSION_PARAMS = np.dtype(
     [
         ("memory", "i8"),  # steps that are kept
-        ("ring", "i8"),  # steps for which there is room, a power of two, less 1
+        ("ring", "i8"),  # the same rounded up to a power of two, less 1: of the addresses
         ("noise_scale", "f8"),  # of the standard deviations that poses report
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
         ("orbit", TARGET_ORBIT),
