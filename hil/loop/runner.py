@@ -217,7 +217,11 @@ class Runner:
         self._powered = True
         self._compared.clear()
         self._sequencer.warning_s = self._plan.warning_s
-        self.loop.bench.open(self.rate.now_s())
+        try:
+            self.loop.bench.open(self.rate.now_s())
+        except DeviceError:
+            self.loop.safety_io.check(self.rate.now_s())  # an open chain is the cause: no drive has torque then
+            raise
         self.loop.target.open(self.rate.now_s())
         self._missing_frames = 0
         released_s = self.rate.now_s()

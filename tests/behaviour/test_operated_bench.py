@@ -104,24 +104,25 @@ def hold_once(mode: Mode, condition: Callable[[Session], bool], length_s: float,
 
 def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() -> None:
     standing: list[np.ndarray] = []
-    script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 60.0, 10.0, standing)
-    outcome, session = operate(script, duration_s=260.0)
+    script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 8.0, 10.0, standing)
+    near = "initial.position_m=[0.6, -0.02, 0.02]"
+    outcome, session = operate(script, near, duration_s=60.0)
     assert outcome.stop == "completed"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.HOLD, Mode.RUNNING]
     assert len(standing) > 390
     assert np.abs(standing).max() < 1e-6
-    assert len(outcome.history) == 13001  # the run's time stood
+    assert len(outcome.history) == 3001  # the run's time stood
     assert [event.text for event in outcome.events if event.source == "bench"] == [
         "hold: commanded by the operator",
-        "resumed after 10.04 s",
+        "resumed after 10.06 s",
     ]
     speed, acceleration = step_ratios(session)
     assert speed <= 1.0 + 1e-6
     assert acceleration <= 1.0 + 1e-3
-    scenario = load_scenario("scheme-1").value
+    scenario = load_scenario("scheme-1", [near]).value
     summary, verdict = summarise(outcome, scenario, load_rig("mock").value, "mock", 0, 50.0)
     assert verdict.passed
-    assert verdict.ready_time_s == pytest.approx(160.84, abs=3.0)
+    assert verdict.ready_time_s == pytest.approx(19.18, abs=3.0)  # without the hold
     assert summary["passed_all_parts"]
 
 
