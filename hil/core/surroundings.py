@@ -19,7 +19,6 @@ import re
 import resource
 import shutil
 import stat
-import tempfile
 import time
 import zlib
 from collections.abc import Iterator
@@ -27,7 +26,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import IO, Final, Literal, NoReturn
+from typing import IO, Any, Final, Literal, NoReturn, cast
 
 from hil.errors import BadInput
 
@@ -131,21 +130,19 @@ def temporary_folder_in(folder: Path, what: str) -> TemporaryDirectory[str]:
 @cache
 def prepare_worker_processes() -> None:
     """Let multiprocessing make its sockets in a temporary folder of this process. Raises BadInput if it cannot work."""
-    from multiprocessing import Lock  # slow imports
-    from multiprocessing.util import Finalize, get_temp_dir
+    from multiprocessing import Lock, current_process  # slow imports
+    from multiprocessing.util import Finalize
 
     try:
         Lock()
     except (OSError, ImportError) as error:
         text = f"need semaphores in /dev/shm ({getattr(error, 'strerror', '') or error}): give --workers 1"
         raise BadInput.single("worker processes", "", text) from error
-    folder = temporary_folder("workers")
-    Finalize(None, folder.cleanup, exitpriority=-101)  # after multiprocessing has removed its own in it
-    previous, tempfile.tempdir = tempfile.tempdir, folder.name
-    try:
-        get_temp_dir()
-    finally:
-        tempfile.tempdir = previous
+    settings = cast(Any, current_process())._config
+    if settings.get("tempdir") is None:
+        folder = temporary_folder("workers")
+        Finalize(None, folder.cleanup, exitpriority=-101)  # after multiprocessing's own
+        settings["tempdir"] = folder.name
 
 
 def unnamed_file() -> IO[bytes]:

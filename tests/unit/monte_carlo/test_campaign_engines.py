@@ -114,3 +114,16 @@ def _flights_loaded() -> int:
 def test_worker_has_the_kernels_of_the_process_that_forks_it() -> None:
     with engines._pool(1) as pool:
         assert pool.submit(_flights_loaded).result() > 0
+
+
+def test_folder_of_the_workers_is_removed_silently_if_multiprocessing_was_imported_first() -> None:
+    script = """
+from multiprocessing.util import get_temp_dir
+from hil.core.surroundings import prepare_worker_processes
+prepare_worker_processes()
+print(get_temp_dir())
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert "-workers-" in done.stdout
+    assert not Path(done.stdout.strip()).exists()
