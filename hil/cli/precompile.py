@@ -80,6 +80,9 @@ def _compile_verdict() -> None:
     rows["navigation"]["valid"] = 1
     for name in ("r_CT_H", "q_CH"):
         rows["navigation"][name] = rows["truth"][name]
+    rows["pose"]["fresh"], rows["pose"]["t_s"] = 1, rows["t_s"]
+    for name in ("covariance_position", "covariance_attitude"):
+        rows["pose"][name] = np.eye(3)
     tally = Tally(scenario, rig)
     tally.add(rows)
     tally.numbers()
