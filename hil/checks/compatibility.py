@@ -13,6 +13,7 @@ import numpy as np
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
 from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
 from hil.checks.abort import check_transfers
+from hil.checks.modes import check_modes
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
 from hil.checks.vehicle import check_vehicle
@@ -58,11 +59,15 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    problems = check_transfers(scenario) or [
-        *check_vehicle(scenario),
-        *check_target_motion(scenario, rig),
-        *(check_reachability(scenario, rig) if rig.value.floating is None else []),
-    ]
+    problems = (
+        check_modes(scenario)
+        or check_transfers(scenario)
+        or [
+            *check_vehicle(scenario),
+            *check_target_motion(scenario, rig),
+            *(check_reachability(scenario, rig) if rig.value.floating is None else []),
+        ]
+    )
     if problems or rig.value.arm is None:
         return problems
     from hil.checks.arm import check_arm  # of few rigs

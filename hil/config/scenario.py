@@ -33,9 +33,9 @@ from hil.config.tables.open_table import FileTable
 from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
-from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
+from hil.config.tables.truth import Ephemeris, KnownMode, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
 from hil.core.gnc_records import MAX_SETTINGS
-from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
+from hil.core.messages import MAX_FAULTS, MAX_MODES, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX
 from hil.errors import did_you_mean
 from hil.maths import linear
@@ -513,6 +513,8 @@ class Reactions(ConfigModel):
     """The encoders of the bench contradict the estimate."""
     sensor_suspect: PhaseReactions = _CONTINUE
     """A further sensor contradicts the others and is excluded."""
+    cause_unknown: PhaseReactions | None = None
+    """Innovations contradict their covariance, and not for the vision unit alone; unless set, as `vision_suspect`."""
     unprotected: PhaseReactions = PhaseReactions()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
     hold_max_s: Positive = 60.0
@@ -529,6 +531,7 @@ class Reactions(ConfigModel):
             self.covariance_invalid,
             self.bench_disagrees,
             self.sensor_suspect,
+            self.cause_unknown or self.vision_suspect,
             self.unprotected,
         )
 
@@ -580,6 +583,8 @@ class GncConfig(ConfigModel):
     """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
     ephemeris: Ephemeris = Ephemeris()
+    modes: Annotated[dict[str, KnownMode], Field(max_length=MAX_MODES)] = Field(default_factory=dict)
+    """Bending modes and slosh that filters and control allow for, by name; the truth has its own."""
     target: KnownTarget = KnownTarget()
     akf: AttitudeFilter
     pkf: PositionFilter

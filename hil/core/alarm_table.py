@@ -80,7 +80,7 @@ CONSOLE_PROCESS = AlarmKind("console process", "console", "H-17", "s", limit=_SI
 HOLD = AlarmKind("hold", "bench", "H-17")
 # consistency monitors: conditions, which stop nothing by themselves
 ACCEPTED_POSES = AlarmKind("accepted poses", "vmu", "H-18", "s", "none for {}", "one within {}", priority=MEDIUM)
-INNOVATIONS = AlarmKind("innovations", "vmu, a sensor", "H-18", limit=_FEWER, priority=MEDIUM)
+INNOVATIONS = AlarmKind("innovations", "vmu, a sensor, navigation", "H-18", limit=_FEWER, priority=MEDIUM)
 READINGS = AlarmKind("readings", "imu", "H-18", priority=MEDIUM)
 THRUST = AlarmKind("thrust", "thrusters", "H-18", priority=MEDIUM)
 COVARIANCE = AlarmKind("covariance", "navigation", "H-18", priority=MEDIUM)

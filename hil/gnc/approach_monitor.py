@@ -26,7 +26,7 @@ from hil.models.bodies import BODIES, are_apart, chord, clearance
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
-UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES, SENSOR_SUSPECT = 10, 11, 12, 13
+UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES, SENSOR_SUSPECT, CAUSE_UNKNOWN = 10, 11, 12, 13, 14
 _CONVERGED_SHARE = 0.85  # of an alert limit
 _ROOT_2 = math.sqrt(2.0)
 _FAR = 0.6  # of the corridor's radius, from the plan at the start
@@ -253,9 +253,8 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, supervision)
     if supervision.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    levels = stack.vector(3)
-    protection_levels(params, estimate, levels)
-    off = levels[ACROSS] if 0.0 < levels[ACROSS] < np.inf else 0.0  # one without a bound has its own reaction
+    across = reactions.level[ACROSS]
+    off = across if 0.0 < across < np.inf else 0.0  # one without a bound has its own reaction
     off_mps = params.confidence * largest_sigma(estimate.sigma_v_mps)
     if reactions.converged == 0:
         off, off_mps = -params.confidence * largest_sigma(estimate.sigma_r_m), -off_mps

@@ -19,13 +19,12 @@ from hil.gnc.approach_monitor import (
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
     NOT_ABORTED,
-    SENSOR_SUSPECT,
     UNPROTECTED,
 )
 from hil.gnc.estimation.integrity import LEVEL_TERMS
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
-HEALTH_BITS = 8
+HEALTH_BITS = 9
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # kinds of phases
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
@@ -59,6 +58,8 @@ REACTION_STATE = np.dtype(
         ("limit", "f8", 3),  # ... with their alert limits
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
         ("from_future", "i8"),  # poses so far that were stamped ahead of the loop
+        ("hypothesis", "i8"),  # of innovations whose cause is not known, see ``estimation.hypotheses``
+        ("half_swing_s", "f8"),  # of a chaser that swings
         ("broken", BREAK),  # of corridor or closing rate, m, m/s
     ],
     align=True,
@@ -121,9 +122,9 @@ def cause_of(condition):
     """Return the cause of an abort for a condition: a bit of health, or after these the protection level."""
     if condition == HEALTH_BITS:
         return UNPROTECTED
-    if condition == HEALTH_BITS - 1:
-        return SENSOR_SUSPECT
-    return BENCH_DISAGREES if condition == HEALTH_BITS - 2 else FIRST_HEALTH_CAUSE + condition
+    if condition >= 6:
+        return BENCH_DISAGREES + condition - 6  # further sensors and an unknown cause follow
+    return FIRST_HEALTH_CAUSE + condition
 
 
 @kernel

@@ -28,6 +28,7 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import has_held
 
+CAUSE_UNKNOWN = GncHealth.CAUSE_UNKNOWN.value
 MONITOR_DISAGREES, BENCH_DISAGREES = GncHealth.MONITOR_DISAGREES.value, GncHealth.BENCH_DISAGREES.value
 _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
@@ -126,6 +127,9 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     watch_thrusters(params, state, memory, samples, command, estimate)
     if backends.navigation.step == 0:
         navigation.write_go(state.navigation, approach.go)
+        if estimate.health & CAUSE_UNKNOWN != 0:
+            approach.reactions.hypothesis = state.navigation.integrity.cause
+            approach.reactions.half_swing_s = state.navigation.fusion.thrust.swing.half_s
         approach.reactions.from_future = state.navigation.fusion.from_future
         copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)
     sigma = target_motion.largest_sigma(params.navigation.fusion, state.navigation.fusion)

@@ -11,6 +11,7 @@ from hil.config.scenario import REACTION_NAMES
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
 from hil.gnc import approach_monitor, docking_go, reactions
+from hil.gnc.estimation import hypotheses
 from hil.gnc.reactions import ABORT
 
 ABORT_CAUSES = (
@@ -28,7 +29,14 @@ ABORT_CAUSES = (
     "a hold lasted too long",
     "the encoders contradict the estimate",
     "a further sensor is suspect",
+    "the innovations are inconsistent, their cause is not known",
 )
+_HYPOTHESES = {
+    hypotheses.SWING: "the chaser swings at {:.2g} Hz without thrust, a flexible mode or slosh beyond gnc.modes",
+    hypotheses.DISTURBANCE: "the force without thrust has changed, a leak or another disturbance",
+    hypotheses.SCALE: "the accelerometer reads other than the commanded thrust, a scale, the mass or the thrust",
+    hypotheses.ATTITUDE: "those of the attitude alone, the ephemeris, the gyros or the vision unit",
+}
 _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"
 
@@ -61,6 +69,9 @@ def limit_text(cause: int, state: np.record | None) -> str:
         return (
             f": {int(watched['from_future'])} poses were stamped in the future, the clock of the vision unit is ahead"
         )
+    if cause == approach_monitor.CAUSE_UNKNOWN:
+        text = _HYPOTHESES.get(int(watched["hypothesis"]), "")
+        return f": {text.format(0.5 / max(float(watched['half_swing_s']), 1e-3))}" if text else ""
     if cause in (approach_monitor.UNPROTECTED, approach_monitor.FIRST_HEALTH_CAUSE, approach_monitor.HELD_TOO_LONG):
         return _level_text(watched)
     return ""

@@ -21,7 +21,7 @@ from hil.gnc.allocation import (
     unit_wrenches,
 )
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
-from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.control import COAST_OF_TOLERANCE, CONTROL_PARAMS
 from hil.gnc.estimation.integrity import INTEGRITY_PARAMS
 from hil.gnc.estimation.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.estimation.target_orbit import TARGET_ORBIT
@@ -39,6 +39,7 @@ from hil.params.control_rule import control_rule
 from hil.params.dynamics import AT_REST_RADPS, expected_rate, initial_truth, known_orbit, sun_direction
 from hil.params.ephemeris import known_ephemeris
 from hil.params.error_state import error_state
+from hil.params.modes import correction_rates, moves, swing_allowance
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
 from hil.sensors.vision_unit.pose import write_pose
@@ -102,6 +103,7 @@ def navigation(scenario: Scenario) -> np.record:
     params.sensors = VISION_ALONE if gnc.navigation.backend == config.VISION_ALONE else VISION_AND_IMU
     fusion = params.fusion
     fusion.memory = scenario.memory_steps
+    fusion.ring = 2 ** (scenario.memory_steps - 1).bit_length() - 1
     fusion.noise_scale = scenario.gnc.navigation.noise_scale
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
     fusion.orbit = target_orbit(scenario)
@@ -163,7 +165,7 @@ def _thrust_model(scenario: Scenario) -> np.record:
     params, given, thrusters = new(THRUST_PARAMS), scenario.gnc.navigation.thrust, scenario.chaser.thrusters
     dt_s = scenario.sample_s
     accelerations = _accelerations(scenario.chaser)
-    params.enabled = given.enabled
+    params.enabled = given.enabled and not moves(scenario)
     params.n, params.dt_s, params.minimum_on_s = len(accelerations), dt_s, thrusters.minimum_on_s
     params.force[: params.n], params.torque[: params.n] = accelerations[:, :3], accelerations[:, 3:]
     params.settle = math.ceil(given.settle_s / dt_s - 1e-9)
@@ -501,7 +503,11 @@ def control(scenario: Scenario, strength: Array) -> np.record:
         return [force] * 3 + [torque] * 3
 
     params.dt_s, params.pulse_s = step_s, rule.pulse_s
-    params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
+    coast = np.array(six(settings.deadband_m, math.radians(settings.deadband_deg)))
+    pulse = rule.pulse_s * rule.acceleration
+    swing = swing_allowance(scenario, pulse, rule.lead_bounds_s[:, 0])
+    by_rule = np.minimum(rule.coast_max, rule.coast_scale * square(pulse))
+    params.deadband = np.where(swing > 0.0, np.maximum(coast, by_rule) + swing, coast)
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
     params.rate_max, params.go_fraction = rule.rate_max, scenario.gnc.integrity.go_fraction
@@ -510,7 +516,8 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.drift = six(scenario.gnc.navigation.thrust.disturbance_mps2, gradient)
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
-    params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
+    rates = np.array(six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps)))
+    params.correction_rate = correction_rates(scenario, rates, rule.coast_max / COAST_OF_TOLERANCE, rule.rate_max)
     periods_s = six(settings.period_s or rule.period_s, settings.attitude_period_s or rule.period_s)
     params.period = [max(1, round(s / step_s)) for s in periods_s]
     params.acceleration = rule.acceleration

@@ -19,7 +19,14 @@ from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.core.alarm_table import ALARMS
 from hil.core.alarms import Alarm, slug
 from hil.core.gnc_records import GncHealth
-from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED, SENSOR_SUSPECT
+from hil.gnc.approach_monitor import (
+    BENCH_DISAGREES,
+    CAUSE_UNKNOWN,
+    FIRST_HEALTH_CAUSE,
+    HELD_TOO_LONG,
+    ORDERED,
+    SENSOR_SUSPECT,
+)
 from hil.gnc.ready_phase import DEVIATIONS
 from hil.maths.limits import finite_or_none
 from hil.params.ready import all_tolerances
@@ -45,7 +52,8 @@ _CAUSES: Final = {
     HELD_TOO_LONG: "hold_time",
     BENCH_DISAGREES: "bench_disagrees",
     SENSOR_SUSPECT: "sensor_suspect",
-} | {FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:-2])}
+    CAUSE_UNKNOWN: "cause_unknown",
+} | {FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:6])}
 _PARTS: Final = (
     dict.fromkeys(("corridor", "closing_rate"), "security")
     | dict.fromkeys((*(f"error_{d}" for d in _DIRECTIONS), "keep_out"), "integrity")

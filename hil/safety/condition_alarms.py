@@ -44,6 +44,7 @@ class HealthAlarms:
         self._of_bits = {
             GncHealth.VISION_LOST: table.ACCEPTED_POSES.alarm(0.0, "vmu", lost_s, lost_s),
             GncHealth.VISION_SUSPECT: table.INNOVATIONS.alarm(0.0, "vmu", f"rejected, or {_INCONSISTENT}", rejected),
+            GncHealth.CAUSE_UNKNOWN: table.INNOVATIONS.alarm(0.0, "navigation", _INCONSISTENT, "consistent"),
             GncHealth.IMU_SUSPECT: table.READINGS.alarm(0.0, "imu", unexplained, "explained"),
             GncHealth.THRUSTER_FAULT: table.THRUST.alarm(0.0, "thrusters", "stuck open or dead", "as commanded"),
             GncHealth.COVARIANCE_INVALID: table.COVARIANCE.alarm(

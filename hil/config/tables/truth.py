@@ -76,6 +76,7 @@ class Ephemeris(ConfigModel):
     """Highest degree of the body's field by which it is propagated before the run; 0: point mass."""
 
 
+Part = Annotated[float, Field(ge=0.0, lt=1.0)]
 DampingRatio = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
@@ -90,6 +91,17 @@ class BendingMode(ConfigModel):
     """Coupling to the hub's rotation, in c, kg^1/2 m."""
     translation_coupling: Triple = (0.0, 0.0, 0.0)
     """Coupling to the hub's translation, in c, kg^1/2."""
+
+
+class KnownMode(BendingMode):
+    """Bending mode or slosh as a data sheet states it: by its coupling, or by the part of mass and inertia."""
+
+    frequency_sigma: Annotated[float, Field(ge=0.0, le=0.4)] = 0.1
+    """Standard deviation of the frequency, relative."""
+    inertia_fraction: tuple[Part, Part, Part] = (0.0, 0.0, 0.0)
+    """Part of the vehicle's inertia about each axis of c that swings, in addition to `coupling`."""
+    mass_fraction: tuple[Part, Part, Part] = (0.0, 0.0, 0.0)
+    """Part of the vehicle's mass along each axis that swings, in addition to `translation_coupling`."""
 
 
 class SolarArray(ConfigModel):

@@ -24,10 +24,11 @@ from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
 from hil.sensors.vision_unit import pose as vmu_pose
 
-VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
+VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID, CAUSE_UNKNOWN = (
     GncHealth.VISION_LOST.value,
     GncHealth.VISION_SUSPECT.value,
     GncHealth.COVARIANCE_INVALID.value,
+    GncHealth.CAUSE_UNKNOWN.value,
 )
 SUMS: Final = 12
 """CUSUMs: of six innovations, and of sum and difference of each pair of position."""
@@ -91,6 +92,7 @@ INTEGRITY_STATE = np.dtype(
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of which it consists, see ``LEVEL_TERMS``
         ("cap", "f8", 3),  # m, the level when poses returned after a gap: with them less is possible, not more
         ("cap_s", "f8"),
+        ("cause", "i8"),  # of the present inconsistency, ``NAMED`` or a hypothesis that explains it as well
         ("age_s", "f8"),  # age of the last accepted pose, in the previous cycle
         ("second_m", "f8"),  # bound on the position error by a second sensor, 0 for none
         ("second_s", "f8"),  # at this time of the run

@@ -9,7 +9,16 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
 from hil.core.messages import POSE
-from hil.gnc.estimation import akf, fusion, integrity, joint_filter, parameter_doubts, sensor_monitor, thrust_model
+from hil.gnc.estimation import (
+    akf,
+    fusion,
+    hypotheses,
+    integrity,
+    joint_filter,
+    parameter_doubts,
+    sensor_monitor,
+    thrust_model,
+)
 from hil.gnc.estimation.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.estimation.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.estimation.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
@@ -111,6 +120,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     x = fused.filters.pkf.x
     distance = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
     out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row, distance)
+    out.health = hypotheses.name_cause(state.integrity, fused, params.fusion.pkf.dt_s, out.health)
     if params.fusion.sensors.fused > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
         out.health |= SENSOR_SUSPECT
     if fused.started != 0:

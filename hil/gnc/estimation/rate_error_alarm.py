@@ -17,7 +17,7 @@ from hil.maths.arrays import fill
 
 @entry
 def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, noise, sigma, q_vc):
-    """Return the time of the run at which vision is accused, s, nan if never.
+    """Return when vision is accused, s, nan if never, and the mean NEES of rotation and drift until then, 6 expected.
 
     akf, params: AKF_PARAMS, INTEGRITY_PARAMS. state, doubts: INTEGRITY_STATE, DOUBTS, zeroed. error: of the rate,
     (n, 3), rad/s, in H, every ``row_s``. interval_s: between two poses. noise: standard normals of the vision unit,
@@ -31,15 +31,16 @@ def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, no
     fill(p01, 0.0)
     for i in range(3):
         p00[i], p11[i] = sigma * sigma, akf.initial_drift_sigma**2 + akf.rate_sigma[i] ** 2
-    rejected = 0
+    rejected, square = 0, 0.0
     for pose in range(noise.shape[0]):
         at = min(pose * interval_s / row_s, error.shape[0] - 1.000001)
         row = int(at)
         nis = 0.0
+        rate = stack.vector(3)
         quat.transform_back_into(q_vc, noise[pose, 3:6], of_pose)
         for i in range(3):
-            rate = error[row, i] + (at - row) * (error[row + 1, i] - error[row, i])
-            turned[i] += interval_s * (rate - drift[i])
+            rate[i] = error[row, i] + (at - row) * (error[row + 1, i] - error[row, i])
+            turned[i] += interval_s * (rate[i] - drift[i])
             p00[i] += interval_s * (2.0 * p01[i] + interval_s * p11[i] + akf.sigma_gyro**2 * akf.dt_s)
             p01[i] += interval_s * p11[i]
             p11[i] += interval_s * akf.dt_s * (akf.sigma_drift**2 + akf.rate_noise[i] ** 2) + doubts.drift**2
@@ -59,6 +60,10 @@ def alarm_by_rate_error(akf, params, state, doubts, error, row_s, interval_s, no
                 p00[i] *= 1.0 - p00[i] * s
             integrity.monitor(params, state, innovation, 0.0, nis)
             parameter_doubts.doubt_drift(params, state, doubts)
+        for i in range(3):
+            off = rate[i] - drift[i]
+            scale = p00[i] * p11[i] - p01[i] * p01[i]
+            square += (p11[i] * turned[i] ** 2 - 2.0 * p01[i] * turned[i] * off + p00[i] * off * off) / scale
         if integrity.vision_health(params, state, 0.0, rejected, 0.0) != 0:
-            return pose * interval_s
-    return math.nan
+            return pose * interval_s, square / (pose + 1)
+    return math.nan, square / noise.shape[0]

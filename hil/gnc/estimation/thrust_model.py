@@ -41,6 +41,9 @@ JUMP_WINDOWS: Final = 4
 _MEAN_WEIGHT: Final = 1.0 / 16.0
 """Weight of a step in the mean of what bias and disturbance leave: a leak below the noise of a reading is no quiet."""
 _MEAN_SIGMAS: Final = 7.5
+_HALF_SWING_S = 0.2, 15.0  # half a period of a flexible mode or of slosh
+_HALF_SWINGS = 3  # in a row: readings without thrust that go to the other side and back swing
+_SWINGS_S = 20.0  # after the last half swing, in which the force without thrust is as the accelerometer reads it
 
 THRUST_PARAMS = np.dtype(
     [
@@ -63,6 +66,19 @@ THRUST_PARAMS = np.dtype(
     align=True,
 )
 
+SWING_STATE = np.dtype(
+    [
+        ("sense", "i8", 3),  # -1, 1: side on which the mean of unexplained readings was last beyond its limit
+        ("since", "i8", 3),  # step at which it came there
+        ("last", "i8", 3),  # at which it was last there
+        ("halves", "i8", 3),  # half swings in a row
+        ("half_s", "f8"),  # duration of the last half swing
+        ("until", "i8"),  # step up to which the chaser swings, 0: it has not
+    ],
+    align=True,
+)
+"""Oscillation of the specific force without thrust: a flexible mode or slosh that the filters do not know."""
+
 THRUST_STATE = np.dtype(
     [
         ("open_s", "f8", MAX_THRUSTERS),  # for which each valve has been open
@@ -72,6 +88,7 @@ THRUST_STATE = np.dtype(
         ("drift", "f8", 3),  # rad/s, of the gyros, when they were replaced
         ("drift_variance", "f8", 3),
         ("unexplained", "f8", 3),  # m/s^2, mean of what bias and disturbance leave of readings without thrust
+        ("swing", SWING_STATE),
         ("jumped", "i8"),  # step at which quiet readings did not agree with bias and disturbance, 0 for none
         ("spread", "f8"),  # (m/s)^2, what white noise adds to the velocity, forgotten over ``MEMORY_S``
         ("gained_C", "f8", 3),  # m/s, velocity by thrust, the same
@@ -99,21 +116,41 @@ def _expect(params, state, commanded, step):
 
 
 @kernel
-def _is_quiet(params, of_pkf, errors, filters, force, mean):
-    """Return whether a reading ``force`` (3,) is what bias and disturbance explain, and so is the ``mean`` of them.
+def _note_swing(swing, axis, side, step, dt_s):
+    """Take note that unexplained readings along ``axis`` are beyond their limit on one ``side``, -1 or 1, in ``step``.
 
-    mean: (3,), m/s^2, what they have left of the readings so far, a low-pass, updated.
+    A disturbance or a valve's tail stays on its side; what goes to the other one and back again swings.
     """
-    d, quiet = errors.disturbance, True
+    if side != swing.sense[axis]:
+        half_s = (step - swing.since[axis]) * dt_s
+        lasts = (step - swing.last[axis]) * dt_s <= _HALF_SWING_S[1]
+        is_half = lasts and _HALF_SWING_S[0] <= half_s <= _HALF_SWING_S[1]
+        swing.halves[axis] = swing.halves[axis] + 1 if is_half else 0
+        swing.sense[axis], swing.since[axis] = side, step
+        if swing.halves[axis] >= _HALF_SWINGS:
+            swing.half_s, swing.until = half_s, step + int(_SWINGS_S / dt_s)
+    swing.last[axis] = step
+
+
+@kernel
+def _is_quiet(params, of_pkf, errors, filters, force, state, step):
+    """Return whether a reading ``force`` (3,) is what bias and disturbance explain, and so is the mean of them.
+
+    state: THRUST_STATE, whose mean of what they have left of the readings so far, a low-pass, is updated.
+    """
+    d, quiet, mean = errors.disturbance, True, state.unexplained
     for i in range(3):
         b, noise = BIAS + i, of_pkf.sigma_accelerometer**2
         known = filters.p[b, b] + filters.p[d + i, d + i] + 2.0 * filters.p[b, d + i]
         off = force[i] - filters.pkf.x[6 + i] - filters.parameters[d + i]
         allowed = params.gate * math.sqrt(noise + known)
         mean[i] += _MEAN_WEIGHT * (min(allowed, max(-allowed, off)) - mean[i])
-        if abs(off) > allowed or abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
+        if abs(mean[i]) > _MEAN_SIGMAS * math.sqrt(0.5 * _MEAN_WEIGHT * noise + known):
             quiet = False
-    return quiet
+            _note_swing(state.swing, i, 1 if mean[i] > 0.0 else -1, step, params.dt_s)
+        elif abs(off) > allowed:
+            quiet = False
+    return quiet and step >= state.swing.until
 
 
 @kernel
@@ -151,8 +188,9 @@ def begin(params, state, started, commanded, step):
     if is_closed and started and state.thrust.since > thrust.settle + 1:
         _doubt_disturbance(thrust, state, step)
     copy_into(state.thrust.rate_C, step.rate_C)
-    mean = state.thrust.unexplained
-    if is_closed and (not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C, mean)):
+    if is_closed and (
+        not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C, state.thrust, state.cycle)
+    ):
         step.kind = QUIET
 
 

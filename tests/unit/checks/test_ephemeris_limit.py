@@ -6,9 +6,13 @@ import math
 
 import pytest
 
-from hil.checks.ephemeris import check_length, ephemeris_limit, ephemeris_warnings
+import hil
+from hil.checks import ephemeris
+from hil.checks.ephemeris import EphemerisLimit, check_length, ephemeris_limit, ephemeris_warnings
 from hil.checks.truth import check_truth
 from hil.config.load import load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.loop.compiled.run_stats import SETTLED
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.report.verdict_parts import navigation_means
@@ -48,6 +52,17 @@ def test_vision_is_accused_at_the_limit() -> None:
         assert float(stats.integrity.limits.aborted_at_s) == pytest.approx(limit.good_for_s, rel=0.02)
 
 
+def test_line_states_the_nees_of_a_run_that_no_alarm_ends() -> None:
+    scenario = load_scenario("leo-vbar", ("duration_s=5000",)).value
+    limit = ephemeris_limit(scenario, RIG, 5000.0, None)
+    assert limit is not None
+    assert math.isinf(limit.good_for_s)
+    (line,) = ephemeris_warnings(scenario, RIG, 5000.0)
+    assert f"mean NEES {limit.nees:.2g}, 6 expected" in line
+    stats, _ = CaseRunner(scenario, RIG, 5000.0).run(scenario, 0)
+    assert navigation_means(stats.navigation, SETTLED)["nees_akf"] == pytest.approx(limit.nees, rel=0.2)
+
+
 def test_filters_follow_the_harmonics_of_their_ephemeris() -> None:
     perturbed = ("gnc.ephemeris.gravity_degree=6", "gnc.ephemeris.rate_sigma_degps=[0,3e-7,1e-8]")
     scenario, length_s = load_scenario("leo-vbar", perturbed).value, 4400.0
@@ -75,3 +90,24 @@ def test_run_that_is_longer_than_the_ephemeris_is_refused() -> None:
     assert check_length(perturbed, 90_000.0) == []
     (problem,) = check_length(perturbed, 110_000.0)
     assert problem.message == "8: the ephemeris reaches to 99718 s, the run to 110000 s, allowed 0"
+
+
+def test_limit_is_computed_once_for_a_complete_run_and_again_for_one_that_broke_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lengths_s: list[float] = []
+
+    def counted(scenario: Scenario, rig: Rig, length_s: float, seed: int | None) -> EphemerisLimit | None:
+        lengths_s.append(length_s)
+        return ephemeris_limit(scenario, rig, length_s, seed)
+
+    monkeypatch.setattr(ephemeris, "ephemeris_limit", counted)
+    hil.run("leo-vbar", duration_s=1.0)
+    assert lengths_s == [1.0]
+    lengths_s.clear()
+    broken = hil.run(
+        "leo-vbar", duration_s=1.0, faults=[{"device": "rails.x", "kind": "offset", "value": 1.0, "at_s": 0.5}]
+    )
+    assert broken.stop != "completed"
+    assert lengths_s[0] == 1.0
+    assert lengths_s[1] < 1.0

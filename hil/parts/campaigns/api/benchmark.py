@@ -19,10 +19,14 @@ from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.explain import Cases
 from hil.parts.campaigns.statistics import paired_rates, percentiles
 
+CHASERS: Final = (
+    "cubesat", "mango", "dart", "astro", "progress", "cygnus", "dragon", "htv", "orion", "station",
+)  # fmt: skip
+"""Vehicles of 6 kg to 400 t on the plan of scheme-1, by mass."""
 SCENARIOS: Final = (
     "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
     "tumbling-1", "tumbling-3", "tumbling-5", "far-approach", "transfer",
-    "shuttle-vbar", "torva", "ets-vii", "atv", "apollo",
+    "shuttle-vbar", "torva", "ets-vii", "atv", "apollo", *CHASERS,
 )  # fmt: skip
 RESULT: Final = "benchmark.json"
 _CYCLES: Final = 5000

@@ -1,0 +1,64 @@
+"""What may explain innovations that are not those of their covariance, before a device is named.
+
+The reaction does not wait for a name. The vision unit is named if nothing that the IMU has shown by itself explains the
+innovations as well: a chaser that swings by a flexible mode or slosh, a disturbance that has changed such as a leak, an
+accelerometer that reads other than the commands along the corrections of the velocity. Nor is it named for a mean of
+the attitude alone, which an ephemeris or gyros that are wrong leave as well.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.core.jit import kernel
+from hil.gnc.estimation.integrity import CAUSE_UNKNOWN, VISION_SUSPECT
+
+NONE, NAMED, SWING, DISTURBANCE, SCALE, ATTITUDE = range(6)
+"""Hypothesis of an inconsistency: none seen, the vision unit, or what explains it as well."""
+_RECENT_S = 60.0  # after which a swing or a change of the disturbance explains nothing any more
+_EXCESS_MPS = 1e-3  # from which on accelerometer and commands differ
+_ALONG = 0.8  # cosine of the angle between this difference and the corrections of the velocity
+
+
+@kernel
+def _is_along(excess, corrected):
+    """Return whether the poses have taken the ``excess`` (3,), m/s, of the accelerometer back by ``corrected`` (3,)."""
+    size, total, product = 0.0, 0.0, 0.0
+    for i in range(3):
+        size += excess[i] ** 2
+        total += corrected[i] ** 2
+        product -= excess[i] * corrected[i]
+    return size > _EXCESS_MPS**2 and product > _ALONG * math.sqrt(size * total)
+
+
+@kernel
+def _explains(state, fusion, dt_s):
+    """Return the hypothesis that explains an inconsistency as well as the vision unit, otherwise ``NAMED``."""
+    thrust, turns, moves = fusion.thrust, 0.0, 0.0
+    if thrust.swing.until > 0 and (fusion.cycle - thrust.swing.until) * dt_s < _RECENT_S:
+        return SWING
+    if thrust.jumped > 0 and (fusion.cycle - thrust.jumped) * dt_s < _RECENT_S:
+        return DISTURBANCE
+    if thrust.without_imu == 0 and _is_along(thrust.excess_C, fusion.corrected):
+        return SCALE
+    for i in range(state.high.shape[0]):
+        larger = max(state.high[i], state.low[i])
+        if 3 <= i < 6:
+            turns = max(turns, larger)
+        else:
+            moves = max(moves, larger)
+    return ATTITUDE if state.biased != 0 and state.drags == 0 and moves < 0.5 * turns else NAMED
+
+
+@kernel
+def name_cause(state, fusion, dt_s, health):
+    """Return ``health``, in which an inconsistency that is not the vision unit's alone has an unknown cause.
+
+    state, fusion: INTEGRITY_STATE, FUSION_STATE. The cause is that of its first cycle. dt_s: of a step of the filters.
+    """
+    if health & VISION_SUSPECT == 0:
+        state.cause = NONE
+        return health
+    if state.cause == NONE:
+        state.cause = _explains(state, fusion, dt_s)
+    return health if state.cause == NAMED else (health & ~VISION_SUSPECT) | CAUSE_UNKNOWN
