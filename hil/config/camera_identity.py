@@ -81,13 +81,12 @@ def identity_problem(
 
 def identity_doubt(stated: Mapping[str, CameraIdentity | None], actual: Mapping[str, CameraIdentity | None]) -> str:
     """Return "" if the cameras are proven to be the stated ones, else that they are not, and what is missing."""
-    sides = {"file": stated, "images": actual}
-    lacking = {where: [name for name in stated if not (side.get(name) or UNKNOWN).is_complete]
-               for where, side in sides.items()}  # fmt: skip
-    texts = [
-        f"{where} without serial and offset_px of {' and '.join(names)}" for where, names in lacking.items() if names
-    ]
-    return f"{NOT_PROVEN}: {', '.join(texts)}" if texts else ""
+    texts = []
+    for where, side in (("file", stated), ("images", actual)):
+        names = [name for name in stated if not (side.get(name) or UNKNOWN).is_complete]
+        if names:
+            texts.append(where if len(names) == len(stated) else f"{where} ({', '.join(names)})")
+    return f"{NOT_PROVEN}: no serial and offset_px in {', '.join(texts)}" if texts else ""
 
 
 def check_folder(stated: Mapping[str, CameraIdentity | None], folder: Path, source: str) -> str:

@@ -325,7 +325,7 @@ def _calibrate(
     geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
     board = _board(start)
     loaded = hand_held.read_pairs(Path(views)) if start.hand_held else read_views(Path(views))
-    say(what_was_read([image for pair in loaded.images for image in pair]), notices())
+    read = what_was_read([image for pair in loaded.images for image in pair])
     identities = _identities(Path(views), geometry.identities, start.geometry or start.rig, result.date)
     sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
     given = job.CalibrationInputs(
@@ -358,6 +358,7 @@ def _calibrate(
         content = {"extends": base_of(start.rig, result.rig_out), **rig_table(fit.setup, board is None)}
         write_text(as_toml(content, f"Mounting of the cameras, from calibration {label.id}."), result.rig_out)
     if result.json != "-":
+        _print_origin(read, bool(identities))
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED
 
@@ -365,20 +366,26 @@ def _calibrate(
 def _identities(
     views: Path, given: dict[str, CameraIdentity | None], source: str, date: str | None
 ) -> dict[str, CameraIdentity | None]:
-    """Return the identities of the cameras of ``views``, a folder or a CSV file in it; print if there are none.
+    """Return the identities of the cameras of ``views``, a folder or a CSV file in it.
 
     given: those of ``source``, of which the cameras of the views must be. Raises BadInput.
     """
-    from hil.config.camera_identity import CAMERAS_FILE, NOT_PROVEN, check_folder, read_identities
+    from hil.config.camera_identity import check_folder, read_identities
 
     folder = views if views.is_dir() else views.parent
     check_folder(given, folder, source)
     read = read_identities(folder)
     day = date or datetime.datetime.now().astimezone().date().isoformat()
-    stated = {name: each and each.model_copy(update={"date": each.date or day}) for name, each in read.items()}
-    if not stated:
-        say(f"{NOT_PROVEN}: no {CAMERAS_FILE} in {folder}, see hil cameras identity", notices())
-    return stated
+    return {name: each and each.model_copy(update={"date": each.date or day}) for name, each in read.items()}
+
+
+def _print_origin(read: str, is_identified: bool) -> None:
+    """Print what was read, and whether the cameras are known."""
+    from hil.config.camera_identity import CAMERAS_FILE, NOT_PROVEN
+
+    say(read)
+    if not is_identified:
+        say(f"{NOT_PROVEN}: no {CAMERAS_FILE} with the images, see hil cameras identity")
 
 
 def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
@@ -447,15 +454,14 @@ def _one_camera_problems(start: InitialGuessOptions, result: ResultOptions) -> l
 def _fit_of(
     folder: Path, side: Side | None, size: tuple[int, int] | None, start: InitialGuessOptions, result: ResultOptions,
     limits: LimitOptions,
-) -> CameraFit:  # fmt: skip
-    """Return the camera by its images. Raises BadInput if they do not fit."""
+) -> tuple[CameraFit, str]:  # fmt: skip
+    """Return the camera by its images, and what was read. Raises BadInput if they do not fit."""
     from hil.vmu.calibration.single_camera import board_images, fit_camera, images_of_camera
     from hil.vmu.calibration.views import what_was_read
 
     board = _board(start)
     assert board is not None
     paths = images_of_camera(folder, side)
-    say(what_was_read(paths), notices())
     with ProgressBar(notices(), "reading the images") as bar:
         fit = fit_camera(*board_images(paths, size, board, bar.show), board)
     passed = fit.rms_px <= limits.max_rms_px
@@ -463,7 +469,7 @@ def _fit_of(
     if not passed:
         text = f"residuals {fit.rms_px:.3f} px RMS, allowed {limits.max_rms_px:g} px: no file is written"
         raise BadInput.single(str(folder), "", text)
-    return fit
+    return fit, what_was_read(paths)
 
 
 def _calibrate_television(
@@ -475,13 +481,14 @@ def _calibrate_television(
     from hil.vmu.calibration.files import as_toml
 
     loaded = load_scene(scene).value
-    fit = _fit_of(folder, None, (loaded.camera.width, loaded.camera.height), start, result, limits)
+    fit, read = _fit_of(folder, None, (loaded.camera.width, loaded.camera.height), start, result, limits)
+    given = {MONITOR_CAMERA: loaded.camera.identity}
+    identity = _identities(folder, given, scene, result.date).get(MONITOR_CAMERA)
     if result.scene_out is not None:
-        given = {MONITOR_CAMERA: loaded.camera.identity}
-        identity = _identities(folder, given, scene, result.date).get(MONITOR_CAMERA)
         content = {"extends": base_of(scene, result.scene_out, "targets"), **fit.scene_table(loaded, identity)}
         write_text(as_toml(content, "Television camera, as measured by hil calibrate."), result.scene_out)
     if result.json != "-":
+        _print_origin(read, identity is not None)
         nominal = loaded.camera.f, loaded.camera.f, loaded.camera.cx, loaded.camera.cy
         print_camera(fit, f"Camera of scene {loaded.name}", nominal, Console())
     return _PASSED
@@ -503,13 +510,14 @@ def _calibrate_one(
 
     rig = load_rig(start.rig, settings).value
     nominal = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig)
-    fit = _fit_of(folder, side, None, start, result, limits)
+    fit, read = _fit_of(folder, side, None, start, result, limits)
+    identity = _identities(folder, nominal.identities, start.geometry or start.rig, result.date).get(side)
     if result.out is not None:
-        identity = _identities(folder, nominal.identities, start.geometry or start.rig, result.date).get(side)
         table = fit.geometry(nominal, side, identity).model_dump(exclude_none=True)
         comment = f"Vision unit: {side} camera as measured by hil calibrate; the rest is that given to it."
         write_text(as_toml(table, comment), result.out)
     if result.json != "-":
+        _print_origin(read, identity is not None)
         camera = getattr(nominal, side)
         print_camera(fit, f"{side} camera", (camera.fx, camera.fy, camera.cx, camera.cy), Console())
     return _PASSED
