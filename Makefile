@@ -9,7 +9,7 @@
 # make accessibility checks the console's page with axe-core, which npm installs by its digest
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
-# make release builds what a release has: sdist, both wheels, documentation, hashes; see RELEASING.md
+# make release builds what a release has: sdists, wheels, documentation, SBOM, hashes; see RELEASING.md
 # make tidy   formats the sources
 
 PYTHON ?= python3
@@ -40,7 +40,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTE
 PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
 	-p hil.parts.campaigns.pytest_plugin.plugin
 
-.PHONY: demo test slow tests-of oracle bench numbers lateness accessibility docs docs-links wheel release tidy
+.PHONY: demo test slow tests-of oracle bench numbers lateness accessibility docs docs-links wheel release-pure release tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -53,7 +53,7 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
-	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
+	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --no-loadscope-reorder --durations 25
 
 slow: .venv/ready
 	$(PYTEST) -m slow --timeout 3600
@@ -94,10 +94,18 @@ wheel: .venv/ready
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
 	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 
-release: docs wheel
-	$(BIN)/python -m hatchling build --directory dist
+# what is the same on each computer: sdists and pure wheels of the program and its plug-ins, documentation, SBOM
+release-pure: docs .venv-audit/ready
+	for each in . plugins/*/; do \
+		(cd $$each && $(CURDIR)/$(BIN)/python -m hatchling build --directory $(CURDIR)/dist) || exit; done
 	tar -C build -czf dist/hil-bench-docs.tar.gz docs
-	cd dist && rm -f SHA256SUMS && sha256sum * > SHA256SUMS
+	.venv-audit/bin/cyclonedx-py requirements requirements/run.txt --output-file dist/sbom.cdx.json
+
+release:
+	rm -rf dist
+	$(MAKE) release-pure wheel
+	cd dist && sha256sum * > SHA256SUMS
+	.venv-audit/bin/twine check --strict dist/hil_*
 
 tidy: .venv/ready
 	$(BIN)/ruff format .
@@ -118,6 +126,12 @@ tidy: .venv/ready
 
 .venv/docs: .venv/ready requirements/docs.txt
 	$(INSTALL) --requirement requirements/docs.txt
+	touch $@
+
+# tools of the release, which are no part of the program
+.venv-audit/ready: requirements/audit.txt
+	$(PYTHON) -m venv .venv-audit
+	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement $<
 	touch $@
 
 # Basilisk needs an older matplotlib than constraints.txt pins

@@ -30,7 +30,8 @@ KERNELS = "hil/kernels"
 class ReadmeHook(MetadataHookInterface):
     """The README as the description of the package: a link of the repository is the text that it stands under.
 
-    HIL_PROJECT_URL: address of the files of the repository, by which links and pictures are completed.
+    HIL_PROJECT_URL: address of the files of the repository, by which links are completed; pictures have /raw/ in it
+    for /blob/, which is a page about the picture.
     """
 
     def update(self, metadata: dict[str, Any]) -> None:
@@ -49,7 +50,8 @@ def described(text: str, url: str) -> str:
     def complete(found: re.Match[str]) -> str:
         picture, shown, path = found.groups()
         if url:
-            return f"{picture}[{shown}]({url.rstrip('/')}/{path})"
+            base = url.rstrip("/").replace("/blob/", "/raw/") if picture else url.rstrip("/")
+            return f"{picture}[{shown}]({base}/{path})"
         return "" if picture else shown
 
     return link.sub(complete, text)

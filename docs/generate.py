@@ -313,7 +313,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
 
 def _sections(root: type[BaseModel], level: int = 2) -> str:
     sections = []
-    for table in tables(root):
+    for table in (each for each in tables(root) if each.model.__module__.startswith("hil.")):
         first, *others = [f"`[{place}]`" for place in table.places if place] or ["Top level"]
         text = [f"{'#' * level} {first}", f"Also {', '.join(others)}." if others else "", _prose(table.model)]
         if table.inherits:

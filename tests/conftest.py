@@ -42,6 +42,9 @@ _ONE_WORKER = {
 }
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
+_LONGEST_FIRST = ("wires", "system", "behaviour", "contract")
+"""Marker and folders of the tests, by the duration of their groups."""
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Repeat tests that pauses of the computer fail."""
@@ -53,13 +56,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
     Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
-    module is a group of its own.
+    module is a group of its own. The groups begin in the order of ``_LONGEST_FIRST``, so that no worker waits at the
+    end for a long one.
     """
+    items.sort(key=_rank)
     groups = {item: "wires" if item.get_closest_marker("wires") else _group(item) for item in items}
     for node in {node for item in items for node in item.listchain()}:  # xdist would join the groups of all nodes
         node.own_markers[:] = [marker for marker in node.own_markers if marker.name != "xdist_group"]
     for item, group in groups.items():
         item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _rank(item: pytest.Item) -> int:
+    """Return the position of the test's kind in ``_LONGEST_FIRST``."""
+    kinds = {"wires"} if item.get_closest_marker("wires") else {*item.path.parts}
+    return next((n for n, kind in enumerate(_LONGEST_FIRST) if kind in kinds), len(_LONGEST_FIRST))
 
 
 def _group(item: pytest.Item) -> str:

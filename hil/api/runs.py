@@ -19,10 +19,7 @@ from hil.api.jobs import (
     rig_name,
 )
 from hil.api.results import Run, run_of
-from hil.checks.ephemeris import ephemeris_warnings
-from hil.checks.go_level import go_warnings
-from hil.checks.observability import observed_by
-from hil.checks.unseen import unseen_warnings
+from hil.checks.before_run import before_run
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
@@ -181,9 +178,8 @@ class RunRequest:
 def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
-    scenario, rig = job.scenario.value, job.rig.value
-    ages = ephemeris_warnings(scenario, rig, job.duration_s, job.seed)
-    for line in (*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig), *ages):
+    before = before_run(job.scenario.value, job.rig.value, job.duration_s, job.seed)
+    for line in before.lines:
         request.announce(line)
     with ExitStack() as stack:
         recorder = None
@@ -197,7 +193,7 @@ def run_job(request: RunRequest) -> Run:
         with build.opened(job, parts, recorder.sinks if recorder else None) as runner:
             outcome = runner.run()
             results = parts.results_of(outcome)
-        judged = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
+        judged = judged_run(job, request.rig_name, outcome, results, numbers(outcome), before.ephemeris)
         judged.summary.update(request.more | request.link_stats())
         if recorder:
             kept = recorder.finish(judged.summary)
@@ -211,11 +207,12 @@ def judged_run(
     outcome: Outcome,
     results: Sequence[PartResult] = (),
     numbers: Tallied | None = None,
+    ephemeris: list[str] | None = None,
 ) -> Run:
-    """Return the results of ``outcome``. results: of parts. numbers: of a long run."""
+    """Return the results of ``outcome``. results: of parts. numbers: of a long run. ephemeris: see ``summarise``."""
     scenario = job.scenario.value
     rate_hz = 1.0 / scenario.step_s
-    summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
+    summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers, ephemeris)
     summary |= {result.table: result.numbers for result in results}
     if reasons := [result.withheld for result in results if result.withheld]:
         summary |= {"accepted": False, "withheld": "; ".join(reasons)}

@@ -38,7 +38,7 @@ GEOMETRY = np.dtype(
     align=True,
 )
 
-_SMALL = 1.6e-5  # m, rad: second-order terms at which the iteration ends
+_SMALL = 1.1e-5  # m, rad: second-order terms of rails, and of gimbals, at which the iteration ends
 _ITERATIONS = 6
 _NEAR_M = 0.05  # from the ideal rails, within which an earlier solution is one to begin with
 _POLE = 1e-9  # least cosine of the middle angle
@@ -83,11 +83,11 @@ def _gimbals_deviation(g, order, a, shift, turn):
 
 
 @kernel
-def _turned(sign, tilt, turn, q, out):
-    """Write ``q`` (4,) after the small rotation ``tilt + turn`` (3,), rad, by ``sign``, to ``out`` (4,)."""
+def _turned(sign, phi, q, out):
+    """Write ``q`` (4,) after the small rotation ``phi`` (3,), rad, by ``sign``, to ``out`` (4,)."""
     small, square = stack.vector(4), 0.0
     for i in range(3):
-        small[i] = 0.5 * sign * (tilt[i] + turn[i])
+        small[i] = 0.5 * sign * phi[i]
         square += small[i] * small[i]
     small[3] = 1.0 - square * (0.5 + 0.125 * square)
     quat.multiply_into(q, small, out)
@@ -104,7 +104,9 @@ def machine_pose(g, order, rail_m, gimbal_rad, r_L, q_CL):
     quat.to_matrix_into(near, a)
     _rails_deviation(g, rail_m, shift, tilt)
     _gimbals_deviation(g, order, a, offset, turn)
-    _turned(1.0, tilt, turn, near, q)
+    for i in range(3):
+        turn[i] += tilt[i]
+    _turned(1.0, turn, near, q)
     quat.multiply_into(g.q_reference, q, near)
     quat.transform_back_into(near, g.arm, r_L)
     for i in range(3):
@@ -129,20 +131,23 @@ def to_rails(g, r, v, q):
 
 
 @kernel
-def _largest(a, b):
-    """Return the largest component of both, (3,)."""
-    return max(abs(a[0]), abs(a[1]), abs(a[2]), abs(b[0]), abs(b[1]), abs(b[2]))
+def _square(a):
+    """Return the square of the length of ``a`` (3,)."""
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
 @kernel
-def compensate(g, order, q, ideal, rail_m):
-    """Write the rails ``rail_m`` (3,), m, for those of an ideal machine, ``ideal``; ``q`` (4,) becomes the gimbals'.
+def compensate(g, order, q, ideal, rail_m, gimbal_rad, jacobian):
+    """Write the rails ``rail_m`` (3,), m, and gimbals ``gimbal_rad`` (3,), rad, that put c at an attitude.
 
-    q: given as that of c, in rails' axes. The deviation is first that at ``rail_m``, an earlier solution if it is
-    close by, and is iterated until the remainder is of second order.
+    q: (4,), that attitude in rails' axes, overwritten. ideal: (3,), rails of an ideal machine. jacobian: (3, 3),
+    written, of the gimbals' angles by the body rate. The deviation is first that at ``rail_m``, an earlier solution if
+    it is close by, and is iterated until the remainder is of second order; the last rotation is one of the angles.
     """
     shift, offset, a = stack.vector(3), stack.vector(3), stack.matrix(3, 3)
-    tilt, turn, known, change = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    tilt, turn, known, change, rest = (
+        stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    )  # fmt: skip
     inner, back = stack.vector(4), stack.vector(4)
     quat.conjugate_into(g.q_reference, back)
     quat.multiply_into(back, q, inner)
@@ -155,14 +160,21 @@ def compensate(g, order, q, ideal, rail_m):
         quat.to_matrix_into(q, a)
         _rails_deviation(g, rail_m, shift, tilt)
         _gimbals_deviation(g, order, a, offset, turn)
-        _turned(-1.0, tilt, turn, inner, q)
         for i in range(3):
-            shift[i] += offset[i]
-            change[i] = ideal[i] - shift[i] - rail_m[i]
-            rail_m[i] = ideal[i] - shift[i]
-            known[i] -= tilt[i] + turn[i]
-        remainder = _largest(shift, tilt) * _largest(change, change) + _largest(offset, turn) * _largest(known, known)
-        if not remainder > _SMALL:
+            change[i] = ideal[i] - shift[i] - offset[i] - rail_m[i]
+            rail_m[i] += change[i]
+            turn[i] += tilt[i]
+            rest[i] = known[i] - turn[i]
+        of_rails = (_square(shift) + _square(tilt)) * _square(change)
+        of_gimbals = (_square(offset) + _square(turn)) * _square(rest)
+        if not max(of_rails, of_gimbals) > _SMALL * _SMALL:
             break
-        for i in range(3):
-            known[i] = tilt[i] + turn[i]
+        _turned(-1.0, turn, inner, q)
+        copy_into(known, turn)
+    euler.from_matrix_into(a, order, gimbal_rad)
+    euler.rate_jacobian_of_matrix_into(a, order, jacobian)
+    for i in range(3):
+        change[i] = a[i, 0] * rest[0] + a[i, 1] * rest[1] + a[i, 2] * rest[2]
+    for i in range(3):
+        turned = jacobian[i, 0] * change[0] + jacobian[i, 1] * change[1] + jacobian[i, 2] * change[2]
+        gimbal_rad[i] += turned - g.zero[i]

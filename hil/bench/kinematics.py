@@ -178,13 +178,12 @@ def _driven_axes(params, r, v, q_CH, w_CH_C, axes):
 @kernel
 def _compensate_driven(params, r, q, axes):
     """Correct the positions of the driven axes for errors of the machine; rails also for what fixed gimbals leave."""
-    shown, rest, attitude = stack.vector(3), stack.vector(3), stack.vector(4)
+    shown, rest, attitude, jacobian = stack.vector(3), stack.vector(3), stack.vector(4), stack.matrix(3, 3)
     copy_into(rest, axes.rail_m)
-    compensate(params.geometry, params.order, q, rest, axes.rail_m)
-    euler.from_quaternion_into(q, params.order, axes.gimbal_rad)
+    compensate(params.geometry, params.order, q, rest, axes.rail_m, axes.gimbal_rad, jacobian)
     for i in range(3):
-        fixed = params.fixed[3 + i] != 0
-        axes.gimbal_rad[i] = params.low[3 + i] if fixed else axes.gimbal_rad[i] - params.geometry.zero[i]
+        if params.fixed[3 + i] != 0:
+            axes.gimbal_rad[i] = params.low[3 + i]
     machine_pose(params.geometry, params.order, axes.rail_m, axes.gimbal_rad, shown, attitude)
     fill(rest, 0.0)
     to_rails(params.geometry, shown, rest, attitude)
@@ -204,7 +203,7 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     if params.reduced != 0:
         _driven_axes(params, r, v, q_CH, w_CH_C, axes)
         return
-    arm, turning, arm_rate, angles = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    arm, turning, arm_rate = stack.vector(3), stack.vector(3), stack.vector(3)
     a, jacobian, q = stack.matrix(3, 3), stack.matrix(3, 3), stack.vector(4)
     copy_into(q, q_CH)
     if params.geometry.enabled != 0:
@@ -218,19 +217,16 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
         r[i] -= arm[i]
         axes.rail_mps[i] = v[i] - arm_rate[i]
     if params.geometry.enabled != 0:
-        compensate(params.geometry, params.order, q, r, axes.rail_m)
+        compensate(params.geometry, params.order, q, r, axes.rail_m, axes.gimbal_rad, jacobian)
     else:
         copy_into(axes.rail_m, r)
-    quat.to_matrix_into(q, a)
-    euler.from_matrix_into(a, params.order, angles)
-    euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
+        quat.to_matrix_into(q, a)
+        euler.from_matrix_into(a, params.order, axes.gimbal_rad)
+        euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
     for i in range(3):
-        axes.gimbal_rad[i] = angles[i]
         axes.gimbal_radps[i] = 0.0
         for j in range(3):
             axes.gimbal_radps[i] += jacobian[i, j] * w_CH_C[j]
-        if params.geometry.enabled != 0:
-            axes.gimbal_rad[i] -= params.geometry.zero[i]
 
 
 @kernel

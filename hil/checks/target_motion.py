@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hil.checks.vehicle import phase_demands
 from hil.config.load import Loaded
 from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -102,14 +103,19 @@ def _beyond_thrusters(scenario: Scenario, plan: Plan, rates: Array, changes: Arr
     worst = int(np.argmax(asked))
     if asked[worst] <= THRUST_FRACTION:
         return ""
-    name = "xyz"[worst % 3]
+    name, alone = "xyz"[worst % 3], ""
     if worst < 3:
+        without = scenario.chaser.mass_kg * plan_accelerations(plan, 0.0 * rates, 0.0 * changes)[0] / strength[:3]
+        if without[worst] > 0.9 * THRUST_FRACTION:
+            setters = [(each.needed_mps2, each.key) for each in phase_demands(scenario) if each.axis == worst]
+            key = max(*setters, (scenario.gnc.abort.acceleration_mps2, "gnc.abort.acceleration_mps2"))[1]
+            alone = f"; for a target at rest {100.0 * without[worst]:.0f} %, by {key}"
         what = f"{needed[worst]:.3g} m/s2 along {name} at {ranges[worst]:.2f} m"
     else:
         what = f"{np.abs(torque).max(axis=0)[worst - 3]:.3g} N m about {name}"
     return (
         f"the plan takes {what}, {100.0 * asked[worst]:.0f} % of what chaser.thrusters give, "
-        f"allowed {100.0 * THRUST_FRACTION:g} %"
+        f"allowed {100.0 * THRUST_FRACTION:g} %{alone}"
     )
 
 

@@ -46,10 +46,10 @@ def _check_plane(scenario: Loaded[Scenario]) -> list[Problem]:
         phase, key = guidance.phases[name], f"gnc.guidance.phases.{name}"
         points |= {} if phase.point_m is None else {f"{key}.point_m": phase.point_m}
         turns |= {} if phase.attitude_deg is None else {f"{key}.attitude_deg": phase.attitude_deg}
+    for name in ("rate_degps", "attitude_deg", "principal_axes_deg"):  # of a tumble, flat if it is about y alone
+        turns[f"target.{name}"] = getattr(value.target, name)
     wrong = {key: "along y" for key, place in points.items() if place[1] != 0.0}
     wrong |= {key: "about x and z" for key, turn in turns.items() if turn[0] != 0.0 or turn[2] != 0.0}
-    if value.target.motion == "tumble":
-        wrong["target.motion"] = "of the target"
     text = "leaves the x-z plane of H, in which chaser.planar holds the chaser, allowed 0"
     return [Problem(scenario.where(key), key, f"{text} {which}") for key, which in wrong.items()]
 

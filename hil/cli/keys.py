@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hil.cli.options import File
-from hil.cli.output import print_columns, write_json
+from hil.cli.output import notices, print_columns, say, write_json
 
 if TYPE_CHECKING:
     from hil.config.key_reference import KeyMatch
@@ -21,7 +21,7 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
     json
         File for the keys, - for standard output.
     """
-    from hil.config.key_reference import matching_keys
+    from hil.config.key_reference import UNKNOWN_UNIT, matching_keys
 
     matches = matching_keys(pattern, _keys_of_sensors())
     if json is not None:
@@ -33,6 +33,8 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
         ]
         plain = [[text.replace("`", "") for text in row] for row in rows]
         print_columns(("key", "type", "unit", "allowed", "default", "meaning"), plain, left=range(6))
+    if any(key.row.unit == UNKNOWN_UNIT for key in matches):
+        say(f"unit {UNKNOWN_UNIT}: a number of another package whose name does not end in its unit", notices())
     return 0
 
 

@@ -22,6 +22,7 @@ from cyclopts import App, Group
 
 from hil.cli import verbosity
 from hil.cli.options import declared_problems, refuse
+from hil.cli.parser_errors import text_of
 from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
@@ -180,7 +181,7 @@ def _execute(arguments: Sequence[str]) -> int:
     except BadInput as error:
         return _fail(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
-        return _fail(" ".join(str(error).split()), BAD_INPUT)
+        return _fail(text_of(error), BAD_INPUT)
     except (BenchError, CampaignStopped) as error:
         return _fail(str(error), SAFE_STOPPED)
     except KeyboardInterrupt:

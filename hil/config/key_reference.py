@@ -21,6 +21,7 @@ from pydantic.fields import FieldInfo
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.driver_registry import DeviceTable
 from hil.config.tables.model import Live
 from hil.config.tables.open_table import FileTable
 from hil.config.tables.units import UNITS, split
@@ -40,6 +41,8 @@ NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height")
     "at_least": "of the column",
 }
 """Keys of cameras, scenes and requirements in the notation of their field -> unit."""
+UNKNOWN_UNIT: Final = "?"
+"""Unit of a number whose name does not say it: of keys of other packages alone."""
 
 
 class KeyRow(NamedTuple):
@@ -81,6 +84,9 @@ def _visit(model: type[BaseModel], path: str, by_model: dict[type[BaseModel], Ke
         if name not in inherited:
             for inner, suffix in _inner_models(field.annotation):
                 _visit(inner, f"{path}.{name}{suffix}".lstrip("."), by_model)
+    if issubclass(model, DeviceTable) and model is not DeviceTable:
+        for name, inner in model.driver_tables().items():
+            _visit(inner, f"{path}.{name}", by_model)
 
 
 def _inner_models(annotation: Any, suffix: str = "") -> Iterator[tuple[type[BaseModel], str]]:
@@ -114,16 +120,14 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
 
 
 def unit_of(name: str, kind: str) -> str:
-    """Return the unit of a key, "" for a number without one or another type; ValueError for a number without either."""
+    """Return the unit of a key, "" for a number without one or another type, UNKNOWN_UNIT if the name does not say."""
     if name in NOTATION:
         return NOTATION[name]
     if "number" not in kind:
         return ""
     if unit := split(name)[1]:
         return UNITS[unit].text
-    if NO_UNIT.search(name):
-        return ""
-    raise ValueError(f"{name}: a key with a number needs a unit at the end of its name")
+    return "" if NO_UNIT.search(name) else UNKNOWN_UNIT
 
 
 def _type(schema: dict[str, Any]) -> str:
@@ -191,18 +195,10 @@ def all_keys() -> list[KeyMatch]:
         KeyMatch(".".join(filter(None, (root.prefix.rstrip("."), key, path, row.name))), file, row)
         for file, root in roots
         for key, model in ({"": root} | root.added_tables()).items()
-        for table in _tables_of(key, model)
+        for table in tables(model)
         for path in table.places
         for row in _rows_of(table)
     ]
-
-
-def _tables_of(key: str, model: type[BaseModel]) -> list[KeyTable]:
-    """Return the tables of a file, or of the table ``key`` of a part. Raises BadInput for a key without its unit."""
-    try:
-        return tables(model)
-    except ValueError as error:
-        raise BadInput.single("hil.parts", f"[{key}]", str(error)) from error
 
 
 def _rows_of(table: KeyTable) -> list[KeyRow]:

@@ -287,7 +287,7 @@ class Cia402(ConfigModel):
     arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
     """Further arguments of that interface, such as `host` and `port` of socketcand."""
     node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
-    """Node ids of roll, pitch, yaw; of further axes also of a, b, c."""
+    """Node ids of roll, pitch, yaw, of further axes also of a, b, c; or of as many drives as there are."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     """Position units of the drive per revolution of the axis."""
     gear_ratio: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
@@ -356,7 +356,7 @@ class VmuLine(SerialLine):
     """Serial port and frames of the vision unit."""
 
     frames: str = "hil"
-    """Pose frames: `hil`, `euler-mm` or the path of a frame file."""
+    """Pose frames: `hil`, `euler-mm`, `text` or the path of a frame file."""
 
 
 class VmuDatagrams(ConfigModel):
@@ -367,7 +367,7 @@ class VmuDatagrams(ConfigModel):
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """UDP port."""
     frames: str = "hil"
-    """Pose frames, binary or of text: `hil`, `euler-mm` or the path of a frame file."""
+    """Pose frames, binary or of text: `hil`, `euler-mm`, `text` or the path of a frame file."""
 
 
 class SensorLine(ConfigModel):
@@ -470,6 +470,10 @@ class AxisGroupTable(DeviceTable):
         """Numbers, from 0, of ``axis_names`` among all that the table may have."""
         return tuple(self.all_names.index(name) for name in self.axis_names)
 
+    def ids_of(self, ids: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the ids of ``axis_names``, of as many, or of one for each axis that the table may have."""
+        return ids if len(ids) == len(self.axis_names) else tuple(ids[number] for number in self.axis_numbers)
+
     @property
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
         """The axes in the order of ``axis_names``."""
@@ -547,11 +551,13 @@ def part_name(name: str, controller: AxisController) -> str:
 
 
 def check_ids(key: str, ids: tuple[int, ...], table: AxisGroupTable) -> None:
-    """Raise ValueError if ``ids``, in the order of all axes that ``table`` may have, lack one of its axes."""
+    """Raise ValueError if ``ids`` lack one of the axes of ``table``: see ``AxisGroupTable.ids_of``."""
     last = table.axis_numbers[-1]
-    if last >= len(ids):
-        missing, required = table.all_names[last], ", ".join(table.all_names[: last + 1])
-        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {required}")
+    if last >= len(ids) and len(ids) != len(table.axis_names):
+        missing, own = table.all_names[last], ", ".join(table.axis_names)
+        required = ", ".join(table.all_names[: last + 1])
+        other = "" if own == required else f", or of {own}"
+        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {required}{other}")
 
 
 class HeldAtPlace(AxisGroupTable):
@@ -1097,7 +1103,7 @@ class Rig(FileTable):
                 users[name] = wire.key
             if not isinstance(can, Cia402) or can.channel is None or not isinstance(table, AxisGroupTable):
                 continue
-            for node_id in (*(can.node_ids[axis] for axis in table.axis_numbers), can.master_id):
+            for node_id in (*table.ids_of(can.node_ids), can.master_id):
                 bus = (can.interface, can.channel, node_id)
                 if bus in nodes:
                     raise ValueError(

@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.model import ConfigModel, Name, Positive
 from hil.maths import elementary, linear
 
@@ -81,6 +82,8 @@ class SceneCamera(ConfigModel):
     """Grey value behind everything, for rendering."""
     noise: PixelNoise = PixelNoise()
     tolerances: CameraTolerances = CameraTolerances()
+    identity: CameraIdentity | None = None
+    """The camera that this was measured of."""
 
     @model_validator(mode="after")
     def _is_a_camera(self) -> Self:

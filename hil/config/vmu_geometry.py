@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.maths import linear
 
@@ -85,6 +86,8 @@ class VmuCamera(ConfigModel):
     """From the exposure of an image row to that of the next one below, of a rolling shutter; negative if rows are read
     upwards. The time of an image is that of its middle row. Default: a global shutter, of cameras that report no other.
     """
+    identity: CameraIdentity | None = None
+    """The camera that this was measured of."""
 
 
 class Sensor(ConfigModel):
@@ -148,6 +151,11 @@ class VmuGeometry(ConfigModel):
     tolerances: Tolerances = Tolerances()
     calibration: Calibration | None = None
     """Record of ``hil calibrate``."""
+
+    @property
+    def identities(self) -> dict[str, CameraIdentity | None]:
+        """Identities of the cameras, by ``left`` and ``right``."""
+        return {"left": self.left.identity, "right": self.right.identity}
 
     @model_validator(mode="after")
     def _sizes_are_of_a_bench(self) -> Self:

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-VERSION = "0.2.0"
+VERSION = "0.3.0"
 COMMIT_FILE: Final = "commit.txt"
 """File next to this module in an installed package; the build of the wheel writes it."""
 UNKNOWN: Final = "unknown"

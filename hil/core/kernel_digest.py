@@ -13,6 +13,7 @@ import enum
 import hashlib
 import opcode
 import platform
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
@@ -26,7 +27,10 @@ from numba.core.extending import _Intrinsic
 _LENGTH: Final = 16
 _LOAD_GLOBAL, _EXTENDED_ARG = (opcode.opmap[name] for name in ("LOAD_GLOBAL", "EXTENDED_ARG"))
 _COMPILER: Final = ("numpy", "numba", "llvmlite")  # packages whose versions are in every digest
+_SOURCES: Final = ("jit.py", "kernel_library.py", "kernel_digest.py")
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), range, slice)
+OF_IMAGES: Final = ("hil.vmu.", "hil.parts.monitor.")
+_MAKERS: Final = frozenset({"array", "asarray", "carray", "copy", "empty", "full", "isfinite", "ones", "zeros"})
 
 
 class NotDigestible(TypeError):
@@ -37,7 +41,7 @@ class NotDigestible(TypeError):
 def _compiler() -> str:
     """Return what every digest depends on: versions of the compiler, and the sources of its adaptation."""
     versions = f"{numba.__version__} {llvmlite.__version__} {platform.python_version_tuple()[:2]} {np.__version__}"
-    sources = b"".join((Path(__file__).with_name(name)).read_bytes() for name in ("jit.py", "kernel_library.py"))
+    sources = b"".join((Path(__file__).with_name(name)).read_bytes() for name in _SOURCES)
     return f"{versions} {hashlib.sha256(sources).hexdigest()}"
 
 
@@ -56,6 +60,36 @@ def digest_of(kernel: Any) -> str:
             raise
         _known[function] = hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
     return _known[function]
+
+
+_allocating: dict[Any, bool] = {}
+
+
+def allocates(kernel: Any) -> bool:
+    """Return whether ``kernel``, or one that it inlines, may make arrays; a user's may in ways that are not seen here.
+
+    The others work on memory that their caller holds: numba need not count the references to it.
+    """
+    function = getattr(kernel, "py_func", kernel)
+    if function not in _allocating:
+        _allocating[function] = False  # of a kernel that calls itself
+        is_ours = function.__module__.startswith("hil.") and function.__closure__ is None
+        is_plain = is_ours and not function.__module__.startswith(OF_IMAGES)
+        makes = not (is_plain and _names(function.__code__).isdisjoint(_MAKERS))
+        _allocating[function] = makes or any(map(allocates, _inlined(function)))
+    return _allocating[function]
+
+
+def _inlined(function: FunctionType) -> Iterator[Any]:
+    """Yield the kernels that ``function`` calls and that are not compiled on their own."""
+    names = _names(function.__code__)
+    for name in _globals(function.__code__) & function.__globals__.keys():
+        value = function.__globals__[name]
+        members = vars(value) if isinstance(value, ModuleType) else {}
+        for each in (value, *(members[inner] for inner in names & members.keys())):
+            is_kernel = hasattr(each, "py_func") or hasattr(each, "compiled")
+            if is_kernel and not getattr(each, "compiled_on_its_own", False):
+                yield each
 
 
 def _function(function: FunctionType) -> str:

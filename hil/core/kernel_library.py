@@ -22,7 +22,7 @@ from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
 from numba.core.types import Record
 
-from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.core.kernel_digest import NotDigestible, allocates, digest_of
 
 Origin = tuple[str, str, tuple[Any, ...]]
 """Module and qualified name of an entry, and the types of its arguments."""
@@ -174,6 +174,8 @@ class _Compiler(Compiler):
 
     def _compile_bytecode(self) -> Any:
         identity = self.state.func_id
+        if not allocates(identity.func):  # counting references was a fifth of a cycle
+            self.state.flags.nrt = self.state.targetctx.enable_nrt = False
         try:
             identity.unique_id = self.number_of(identity.func)
         except NotDigestible:

@@ -9,7 +9,20 @@ import os
 import types
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
-from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, Unpack, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    Unpack,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -106,8 +119,10 @@ def _signature(function: Callable[..., Any]) -> inspect.Signature:
         if get_origin(table) is not Unpack:
             parameters.append(parameter)
             continue
-        for name, kind in get_type_hints(get_args(table)[0]).items():
-            default = None if _allowed(kind).accepts(None) else ...
+        for name, kind in get_type_hints(get_args(table)[0], include_extras=True).items():
+            default = None
+            if get_origin(kind) is Annotated:  # with its default
+                kind, default = get_args(kind)
             parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
     return signature.replace(parameters=parameters)
 

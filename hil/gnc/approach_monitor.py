@@ -253,9 +253,8 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, supervision)
     if supervision.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    levels = stack.vector(3)
-    protection_levels(params, estimate, levels)
-    off = levels[ACROSS] if 0.0 < levels[ACROSS] < np.inf else 0.0  # one without a bound has its own reaction
+    across = reactions.level[ACROSS]
+    off = across if 0.0 < across < np.inf else 0.0  # one without a bound has its own reaction
     off_mps = params.confidence * largest_sigma(estimate.sigma_v_mps)
     if reactions.converged == 0:
         off, off_mps = -params.confidence * largest_sigma(estimate.sigma_r_m), -off_mps

@@ -17,7 +17,7 @@ from hil.core.jit import kernel
 from hil.gnc import ready_phase
 from hil.gnc.approach_monitor import NOT_ABORTED, ORDERED
 from hil.gnc.ready_phase import READY_PARAMS
-from hil.maths import quat, stack
+from hil.maths import stack
 from hil.maths.limits import has_held
 
 QUIET_S = 2.0
@@ -87,15 +87,13 @@ def _share(error, level):
 
 
 @kernel
-def _over_level(truth, estimate):
+def _over_level(truth, estimate, turned):
     """Return the largest position error, of an axis, or the attitude's, over the level that ``estimate`` reports."""
-    rotation, square, largest = stack.vector(3), 0.0, 0.0
-    quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
+    largest = 0.0
     for i in range(3):
         error = abs(truth.r_CT_H[i] - estimate.r_CT_H[i])
         largest = max(largest, _share(error, estimate.protection_level_m[i]))
-        square += rotation[i] * rotation[i]
-    return max(largest, _share(math.sqrt(square / 3.0), estimate.protection_level_rad))
+    return max(largest, _share(math.sqrt(turned / 3.0), estimate.protection_level_rad))
 
 
 @kernel
@@ -117,8 +115,8 @@ def _count_nees(state, k, nees):
 
 
 @kernel
-def update_decision(params, state, now):
-    """Judge the cycle ``now`` (CYCLE)."""
+def update_decision(params, state, now, turned):
+    """Judge the cycle ``now`` (CYCLE). turned: square of the attitude's error, rad^2, if there is an estimate."""
     estimate, supervision, t_s = now.navigation, now.supervision, now.t_s
     _count_accusations(params, state, t_s, estimate.health)
     if estimate.valid == 0:
@@ -137,7 +135,7 @@ def update_decision(params, state, now):
     if alarm:
         state.pending, state.pending_s = 0, np.nan
         return
-    over = _over_level(now.truth, estimate)
+    over = _over_level(now.truth, estimate, turned)
     state.over_level = max(state.over_level, over)
     if over > 1.0:
         state.pending += 1

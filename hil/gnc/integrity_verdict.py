@@ -108,7 +108,10 @@ def start_integrity(state):
 
 @kernel
 def _errors(params, truth, estimate, errors):
-    """Write the errors (3,) of ``estimate`` (NAVIGATION) against ``truth`` (TRUTH) in the order of ``alert_limits``."""
+    """Write the errors (3,) of ``estimate`` (NAVIGATION) against ``truth`` (TRUTH) in the order of ``alert_limits``.
+
+    Returns the square of the last, rad^2.
+    """
     rotation = stack.vector(3)
     along, square, turned = 0.0, 0.0, 0.0
     quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
@@ -119,6 +122,7 @@ def _errors(params, truth, estimate, errors):
         turned += rotation[i] * rotation[i]
     errors[ALONG], errors[ACROSS] = abs(along), math.sqrt(max(0.0, square - along * along))
     errors[ATTITUDE] = math.sqrt(turned)
+    return turned
 
 
 @kernel
@@ -175,7 +179,10 @@ def update_integrity(params, state, now):
     if distance < state.nearest:
         state.nearest, state.nearest_s = distance, now.t_s
     _detect(params, state, now)
-    update_decision(params.decision, state.decision, now)
+    turned = 0.0
+    if now.navigation.valid != 0:
+        turned = _errors(params.approach, now.truth, now.navigation, errors)
+    update_decision(params.decision, state.decision, now, turned)
     update_motion(params.limits, params.approach, state.limits, now, state.from_H, state.to_H)
     if now.navigation.valid == 0:
         end_cycle(state.limits, now)
@@ -184,7 +191,6 @@ def update_integrity(params, state, now):
         return
     alert_limits(params.approach, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, limits)
     protection_levels(params.approach, now.navigation, levels)
-    _errors(params.approach, now.truth, now.navigation, errors)
     update_estimate(params.limits, params.approach, state.limits, now, errors, limits)
     end_cycle(state.limits, now)
     beyond, misled, available = False, False, True

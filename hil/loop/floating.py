@@ -18,16 +18,17 @@ from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import POSITION_ONLY, Array
 from hil.core.modes import Mode
-from hil.drivers.base import AxisGroup
+from hil.drivers.base import AxisGroup, PoseSource
 from hil.dynamics.floating import carry_on, fit_rates
 from hil.dynamics.thrusters import propellant_flow
 from hil.dynamics.truth import rate_against_hill
 from hil.errors import DeviceError
+from hil.frmn.ring import Telemetry
 from hil.loop import core
 from hil.loop.bench_stage import BenchStage, SafetyInputs
 from hil.loop.core_memory import CoreMemory
 from hil.loop.safety_io_stage import SafetyIo
-from hil.loop.stages import DssStage, VisionStage
+from hil.loop.stages import DssStage, FrameUsed, VisionStage
 from hil.maths import linear, quat
 from hil.maths.random_streams import NormalRows
 from hil.safety.guard_alarms import breach_alarm
@@ -57,13 +58,21 @@ class MeasuredTruth:
         """Return the stage of the bench whose axes are those of this pose."""
         return FloatingBench(axes, inputs, lines, self)
 
-    def vision(self, *given: Any) -> MeasuredVision:
-        """Return the stage of the vision unit whose poses are this truth. given: see ``VisionStage``."""
-        return MeasuredVision(self, *given)
+    def vision(
+        self,
+        source: PoseSource,
+        memory: CoreMemory,
+        on_frame_used: FrameUsed | None = None,
+        frame_sink: Telemetry | None = None,
+    ) -> MeasuredVision:
+        """Return the stage of the vision unit whose poses are this truth."""
+        stage = MeasuredVision(source, memory, on_frame_used, frame_sink)
+        stage.truth = self
+        return stage
 
-    def dss(self, *given: Any) -> FloatingDss:
-        """Return the stage that predicts this truth. given: see ``DssStage``."""
-        return FloatingDss(self, *given)
+    def dss(self, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> FloatingDss:
+        """Return the stage that predicts this truth."""
+        return FloatingDss(self, memory, field, imu_noise)
 
     def begin(self) -> None:
         """Forget all poses: until the first one the truth is the start of the plan."""
@@ -144,14 +153,12 @@ class MeasuredTruth:
 class MeasuredVision(VisionStage):
     """Vision whose poses are the truth as well."""
 
-    def __init__(self, truth: MeasuredTruth, *given: Any) -> None:
-        super().__init__(*given)
-        self._truth = truth
+    truth: MeasuredTruth
 
     def receive(self, bench_s: float) -> None:
         """Receive poses, and write the truth of the present cycle. Raises SafetyTrip, see ``MeasuredTruth.update``."""
         super().receive(bench_s)
-        self._truth.update(self.poses[: self.arrived], bench_s - float(self._state.zero_s))
+        self.truth.update(self.poses[: self.arrived], bench_s - float(self._state.zero_s))
 
 
 class FloatingDss(DssStage):

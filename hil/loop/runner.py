@@ -17,7 +17,7 @@ from hil.core.clock import pause_text
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import STOP_SIGNALS, TOO_LATE, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import DefaultScheduling, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip, one_line
@@ -106,6 +106,8 @@ class Runner:
         self._powered = False
         self._missing_frames = 0
         """Frames of the vision unit that ARM still waits for."""
+        self._compared: dict[int, BenchError | None] = {}
+        """Why the bench must not move, by what each part has last compared of it since it stands."""
         core = loop.memory.state
         self._watch = LoopWatch(lambda: (int(core.cycle), self._sequencer.ticks), self._step_timeout_s)
 
@@ -213,8 +215,13 @@ class Runner:
     def _power_axes(self) -> None:
         """Enable the drives, which hold the axes, and release the holding brakes."""
         self._powered = True
+        self._compared.clear()
         self._sequencer.warning_s = self._plan.warning_s
-        self.loop.bench.open(self.rate.now_s())
+        try:
+            self.loop.bench.open(self.rate.now_s())
+        except DeviceError:
+            self.loop.safety_io.check(self.rate.now_s())  # an open chain is the cause: no drive has torque then
+            raise
         self.loop.target.open(self.rate.now_s())
         self._missing_frames = 0
         released_s = self.rate.now_s()
@@ -245,6 +252,12 @@ class Runner:
         self._missing_frames = max(0, self._missing_frames - frames)
         if self._sequencer.ticks % self._sequencer.progress_ticks == 0:
             self._on_progress(self._modes.mode, 0.0)
+        for number, check in enumerate(self.parts.before_motion if self._modes.mode is Mode.STANDBY else ()):
+            try:
+                if check(self.rate.now_s(), self.loop.now.feedback):
+                    self._compared[number] = None
+            except BenchError as reason:
+                self._compared[number] = reason
 
     def _execute(self, command: OperatorCommand) -> None:
         if command.moves and (alarm := self.safety.interlock_power(self.rate.now_s())):
@@ -253,13 +266,16 @@ class Runner:
             self.operator.rejections.append(alarm.text)
             self.operator.end_jog()
             return
+        if command is OperatorCommand.ARM and not self._has_been_compared():
+            return
+        if command.moves:
+            self._compared.clear()
         match command:
             case OperatorCommand.HOME:
                 self._sequencer.home()
             case OperatorCommand.JOG:
                 self._sequencer.jog()
             case OperatorCommand.ARM:
-                self._check_standing()
                 self._sequencer.place()
                 self._modes.go(Mode.ARMED)
                 self._missing_frames = self._plan.frames_to_arm
@@ -281,13 +297,19 @@ class Runner:
             self._sequencer.park(self._plan.park_position)
         self._parked = True
 
-    def _check_standing(self) -> None:
-        """Let the bench stand until the parts that check it so have done."""
-        pending = [*self.parts.before_motion]
-        while pending:
+    def _has_been_compared(self) -> bool:
+        """Wait for parts that compare the standing bench; return False when ARM has become too late meanwhile.
+
+        Raises BenchError if the bench must not move.
+        """
+        while len(self._compared) < len(self.parts.before_motion):
             self._stand_by()
-            now_s, feedback = self.rate.now_s(), self.loop.now.feedback
-            pending = [check for check in pending if not check(now_s, feedback)]
+            if self.operator.is_late(OperatorCommand.ARM):
+                self.operator.rejections.append(f"bench: arm {TOO_LATE} (the bench was compared before its motion)")
+                return False
+        for reason in filter(None, self._compared.values()):
+            raise reason
+        return True
 
     def _close_the_loop(self) -> None:
         self._sequencer.seed_for_run()

@@ -81,8 +81,8 @@ class SessionParts:
     before_open: list[Callable[[], None]] = field(default_factory=list)
     """Called before each opening of the devices; raise BenchError if the bench must not run."""
     before_motion: list[Callable[[float, np.record], bool]] = field(default_factory=list)
-    """Called with bench time and FEEDBACK while the bench stands, before it moves to the start of a run, until they
-    return True; raise BenchError if it must not move."""
+    """Called with bench time and FEEDBACK in each cycle of standby. They return True when they have compared the bench,
+    which ARM waits for after each motion; raise BenchError if it must not move to the start of a run."""
     process_pauses: Callable[[], dict[str, float]] = dict
     """Returns the pauses by the host, s, of the processes that serve the devices."""
     process_failures: Callable[[BenchError], str | None] = lambda _: ""

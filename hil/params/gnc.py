@@ -103,6 +103,7 @@ def navigation(scenario: Scenario) -> np.record:
     params.sensors = VISION_ALONE if gnc.navigation.backend == config.VISION_ALONE else VISION_AND_IMU
     fusion = params.fusion
     fusion.memory = scenario.memory_steps
+    fusion.ring = 2 ** (scenario.memory_steps - 1).bit_length() - 1
     fusion.noise_scale = scenario.gnc.navigation.noise_scale
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
     fusion.orbit = target_orbit(scenario)

@@ -163,7 +163,7 @@ class Decision(PartResults):
 
     go_s: float | None = row("first [go](../../explanation/integrity.md#go); null for never")
     error: bool = row("a go with the truth outside the requirement")
-    nees_ok: bool | None = row("mean NEES consistent; null without a covariance")
+    nees_ok: bool | None = row("mean NEES of all poses consistent, those before 100 s included; null without a covariance")
     beyond_level_cycles: int = row("cycles with an error beyond the protection level")
     error_over_level: float = row("largest error over protection level")
 
@@ -189,8 +189,8 @@ class NavigationResults(Results):
         "[3], Cramér-Rao bound with these poses, this IMU and the error budget, whatever GNC is flown"
     )
     attitude_bound_deg: Vector | None = row("[3], the same of the attitude")
-    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, 9 states", _TWO)
-    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, 6 states", _TWO)
+    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, settled, 9 states", _TWO)
+    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, settled, 6 states", _TWO)
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:

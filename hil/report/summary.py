@@ -48,10 +48,12 @@ def summarise(
     seed: int,
     rate_hz: float,
     numbers: Tallied | None = None,
+    ephemeris: list[str] | None = None,
 ) -> tuple[dict[str, Any], Verdict]:
     """Return the run's results as JSON content, and the verdict; None for quantities that the run did not reach.
 
-    numbers: of ``Tally``, if ``outcome.history`` has the last rows of a long run only.
+    numbers: of ``Tally``, if ``outcome.history`` has the last rows of a long run only. ephemeris: of ``before_run`` for
+    the whole run; judged again without it, and for a run that has not been completed.
     """
     history = outcome.history
     if numbers is None:
@@ -63,7 +65,8 @@ def summarise(
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     measured = outcome.measured
     results.bench.limited_cycles = outcome.limited_cycles
-    ephemeris = ephemeris_warnings(scenario, rig, (int(stats.cycles) - 1) * scenario.step_s, seed)
+    if ephemeris is None or outcome.stop != COMPLETED:
+        ephemeris = ephemeris_warnings(scenario, rig, (int(stats.cycles) - 1) * scenario.step_s, seed)
     for name, error in measured.get("bench", {}).items():
         setattr(results.bench, name, RmsMax.of(error))
     for name, rate_hz_of in measured.get("exchanges", {}).items():

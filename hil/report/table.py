@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.checks.waivers import Waiver
+from hil.config.camera_identity import NOT_PROVEN
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.params.ready import ROW_NAMES, tolerances
@@ -80,6 +81,8 @@ def _lines(run: RunResults) -> Iterator[str | Text]:
     yield from _bench_lines(run.bench, run.latency, has_axes=run.truth is None)
     if run.clocks:
         yield f"Clocks      {_clocks_text(run.clocks, run.vision)}"
+    if not run.vision.get("identity_proven", 1):
+        yield f"Cameras     {NOT_PROVEN}: geometry file or cameras without serial and offset_px"
     if run.drift_check:
         yield f"Cameras     {_drift_text(run.drift_check)}"
     yield from _timing_lines(run.timing)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 from contextlib import closing
 
 import can
@@ -25,7 +26,7 @@ from tests.support.can_bus import BusClock, CanBus, group_of
 from tests.support.data_sheets import altered, section
 from tests.support.drive_makes import CSP_AND_HOMING, INTERPOLATED_AND_HOMING, MAKES, MILLI_PER_MINUTE, PER_MINUTE
 from tests.support.lock_step import GRID_S
-from tests.support.turntable_bench import eventually, served
+from tests.support.turntable_bench import error_of, eventually, served
 
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 15.0}
 REFUSED = {
@@ -97,8 +98,10 @@ def drawn(dice: random.Random) -> dict:
         "velocity_unit": dice.choice([None, None, PER_MINUTE, MILLI_PER_MINUTE]),
         "declares_velocity": dice.random() < 0.8,
         "declared_scale": dice.choice([1.0] * 8 + [60.0, 1.0 / 60.0]),
-        "missing": tuple(index for index in (0x606C, 0x1017, 0x603F, 0x605A, 0x6007) if dice.random() < 0.1),
-        "aborts": tuple(index for index in (0x1005, 0x60C2, 0x605A) if dice.random() < 0.1),
+        "state_lag_s": dice.choice([0.0, 0.0, dice.uniform(0.0, 0.2)]),
+        "missing": tuple(index for index in (0x606C, 0x1017, 0x603F, 0x605A, 0x6007, 0x6061) if dice.random() < 0.1),
+        "missing_code": dice.choice([0x06020000, 0x06010000, 0x06040043, 0x08000000]),
+        "aborts": tuple(index for index in (0x1005, 0x60C2, 0x605A, 0x1016) if dice.random() < 0.1),
         "supported_modes": dice.choice([None, None, CSP_AND_HOMING, INTERPOLATED_AND_HOMING, 0x25]),
         "keeps_error": dice.random() < 0.3,
         "enable_s": dice.choice([0.0, dice.uniform(0.0, 5.0)]),
@@ -166,6 +169,37 @@ def test_stray_statusword_is_not_confirmed_by_an_error_of_the_past() -> None:
         clock.sleep(0.1)
         with pytest.raises(DriveFault, match="0x7500"):
             device.read(clock.now_s())
+
+
+def test_drive_that_refuses_the_preferred_reaction_is_used_with_another_that_it_has() -> None:
+    def preset(emulator: Cia402Emulator) -> None:
+        for drive in emulator.drives:
+            drive.objects.put(0x605A, 5)
+
+    with served("cia402", cia402={"emulated": DriveHabits(aborts=(0x605A,))}, prepare=preset) as (emulator, _, _):
+        assert [drive.objects.value(0x605A) for drive in emulator.drives] == [5, 5, 5]
+
+
+def test_drive_that_restarts_in_mid_run_ends_it_by_its_name() -> None:
+    with served("cia402") as (emulator, device, clock):
+        device.read(clock.now_s())
+        drive = emulator.drives[1]
+        emulator._station.send(drive.on_frame(codec.NMT_ID, bytes((codec.NMT_RESET_NODE, drive.node_id)), 0.0))
+        assert str(error_of(device, clock)) == "turntable.pitch: has restarted"
+
+
+def test_bus_off_is_borne_for_less_than_the_time_out_and_then_named() -> None:
+    with served("cia402") as (emulator, device, clock):
+        start = device.read(clock.now_s()).position
+        for silent in (True, False):
+            (emulator.faults.on if silent else emulator.faults.off)("link_down")
+            for _ in range(5 if silent else 25):
+                device.send(start, 0.0 * start, clock.now_s())
+                clock.sleep(GRID_S)
+        assert device.counters()["lost"] > 0
+        assert np.allclose(device.read(clock.now_s()).position, start, atol=1e-3)
+        emulator.faults.on("link_down")
+        assert re.fullmatch(r"turntable[.\w]*: no .* for .* s, allowed .* s", str(error_of(device, clock)))
 
 
 def test_drives_interpolate_over_the_time_between_two_setpoints() -> None:

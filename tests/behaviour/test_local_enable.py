@@ -7,8 +7,11 @@ import pytest
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
 from hil.drivers.io.mock import MockIo
+from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.session import build
 from tests.support.operated_bench import Script, Session, operate
+from tests.support.run_settings import make_job
 
 LINES = ('rig.io={driver="mock", inputs={local_enable=2}}',)
 TEXT = "io: local enabling input off, allowed on"
@@ -118,3 +121,19 @@ def test_after_it_is_back_a_reset_opens_the_bench_again() -> None:
 def test_a_bench_without_the_switch_is_unaffected() -> None:
     outcome, _ = operate(idle, 'rig.io={driver="mock"}', attended=False, prepare=off)
     assert outcome.stop != TEXT
+
+
+def test_chain_that_opens_while_drives_are_enabled_is_named_instead_of_the_drive() -> None:
+    with build.runner(make_job(2.0, LINES)) as runner:
+        lines = runner.loop.safety_io
+        assert isinstance(lines, SafetyIoStage)
+        assert isinstance(lines.io, MockIo)
+        io = lines.io
+
+        def fail(_now_s: float) -> None:
+            io.open_interlocks = ("door",)
+            raise LinkTimeout("turntable.roll", "not enabled within 10 s")
+
+        runner.loop.bench.turntable.open = fail  # type: ignore[method-assign,assignment]
+        with pytest.raises(SafetyTrip, match="io: interlock door open, allowed closed"), runner.axes_only():
+            pytest.fail("the drives are enabled")

@@ -14,7 +14,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AxisFeedback
 from hil.core.modes import Mode
-from hil.core.operator_commands import OperatorCommand
+from hil.core.operator_commands import TOO_LATE, OperatorCommand
 from hil.errors import LinkLost
 from hil.params import bench as bench_params
 from hil.report.summary import summarise
@@ -104,24 +104,25 @@ def hold_once(mode: Mode, condition: Callable[[Session], bool], length_s: float,
 
 def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() -> None:
     standing: list[np.ndarray] = []
-    script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 60.0, 10.0, standing)
-    outcome, session = operate(script, duration_s=260.0)
+    script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 8.0, 10.0, standing)
+    near = "initial.position_m=[0.6, -0.02, 0.02]"
+    outcome, session = operate(script, near, duration_s=60.0)
     assert outcome.stop == "completed"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.HOLD, Mode.RUNNING]
     assert len(standing) > 390
     assert np.abs(standing).max() < 1e-6
-    assert len(outcome.history) == 13001  # the run's time stood
+    assert len(outcome.history) == 3001  # the run's time stood
     assert [event.text for event in outcome.events if event.source == "bench"] == [
         "hold: commanded by the operator",
-        "resumed after 10.04 s",
+        "resumed after 10.06 s",
     ]
     speed, acceleration = step_ratios(session)
     assert speed <= 1.0 + 1e-6
     assert acceleration <= 1.0 + 1e-3
-    scenario = load_scenario("scheme-1").value
+    scenario = load_scenario("scheme-1", [near]).value
     summary, verdict = summarise(outcome, scenario, load_rig("mock").value, "mock", 0, 50.0)
     assert verdict.passed
-    assert verdict.ready_time_s == pytest.approx(160.84, abs=3.0)
+    assert verdict.ready_time_s == pytest.approx(19.18, abs=3.0)  # without the hold
     assert summary["passed_all_parts"]
 
 
@@ -300,6 +301,36 @@ def test_jog_of_an_unknown_axis_is_refused_with_a_message() -> None:
     _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
     assert session.operator.rejections[0] == "bench: cannot jog rails.w by 1"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY]
+
+
+@pytest.mark.parametrize("must_stand", [False, True])
+def test_arm_is_refused_when_a_comparison_takes_longer_than_it_is_meant_and_acts_at_once_after_one(
+    must_stand: bool,
+) -> None:
+    stood_s: list[float] = []
+
+    def compare(now_s: float, feedback: np.record) -> bool:
+        stood_s.append(now_s)
+        if must_stand and len(stood_s) > 200:
+            raise LinkLost("tracker", "moved")
+        return now_s - stood_s[0] > 1.0
+
+    def script(session: Session) -> None:
+        for step, at_s in (("early", 0.2), ("later", 4.4)):
+            if session.once(step, session.now_s > at_s):
+                session.operator.submit(OperatorCommand.ARM, session.now_s + 0.5)
+        session.once("armed", session.mode is Mode.ARMED)
+        session.order_once(OperatorCommand.STOP, session.now_s > 5.5)
+
+    def prepare(session: Session) -> None:
+        session.runner.parts.before_motion.append(compare)
+        session.operator._wall_s = lambda: session.now_s
+
+    outcome, session = operate(script, plan=(), prepare=prepare)
+    assert list(session.operator.rejections) == [f"bench: arm {TOO_LATE} (the bench was compared before its motion)"]
+    assert ("armed" in session.marks) is not must_stand
+    assert [alarm.text for alarm in outcome.alarms] == (["tracker: moved"] if must_stand else [])
+    assert must_stand or session.marks["armed"] - session.marks["later"] < 0.1
 
 
 def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_armed_again() -> None:

@@ -255,7 +255,7 @@ def test_a_reversed_encoder_is_a_following_error_of_the_drive_which_has_no_torqu
     assert str(found[0]).endswith("following error too large")
     axes = bench.emulator.drives[1]._axes
     assert axes.astray == [False, True, False]
-    assert axes.limit == (0, 0, 0)
+    assert [axes.limit(i) for i in range(3)] == [0, 0, 0]
     bench.emulator.faults.clear()
     assert bench.wait(lambda: not axes.moving(1))
     stood = float(axes.position[1])

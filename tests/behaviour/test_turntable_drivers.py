@@ -159,7 +159,7 @@ def test_a_reversed_encoder_is_a_following_error_of_the_drive_which_has_no_torqu
         with pytest.raises(DriveFault, match=r"turntable\.pitch: .*following error"):
             eventually(clock, move)
         assert emulator.gimbals.astray == [False, True, False]
-        assert emulator.gimbals.limit == (0, 0, 0)
+        assert [emulator.gimbals.limit(i) for i in range(3)] == [0, 0, 0]
         emulator.faults.clear()
         eventually(clock, lambda: not emulator.gimbals.moving(1))
         stood = float(emulator.gimbals.position[1])

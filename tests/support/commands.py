@@ -38,14 +38,18 @@ def run(site: Path, commands: Sequence[Sequence[str | Path]]) -> list[Done]:
 
 
 def main() -> None:
-    """Execute the commands of the first argument."""
+    """Execute the commands of the first argument. Pages have no figures, which take longer than short flights."""
+    import hil.report.page as page
     from hil.cli.main import execute
     from hil.core.surroundings import leave_process
+    from tests.support.run_settings import without_figures
+
+    page.figures = lambda *_: iter(())  # type: ignore[assignment]
 
     outcomes = []
     for command in json.loads(sys.argv[1]):
         out, err = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), without_figures():
             code = execute(command)
         outcomes.append((code, out.getvalue(), err.getvalue()))
     print(json.dumps(outcomes), flush=True)  # noqa: T201

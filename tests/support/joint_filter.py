@@ -18,6 +18,8 @@ class JointFilter:
     def __init__(self, params: np.record, pose: np.record | None = None) -> None:
         self.params, self.filters, self.noise = params, new(FILTERS), new(NOISE_FACTOR)
         self.akf, self.pkf, self.found = self.filters.akf, self.filters.pkf, new(INNOVATION)
+        self._step = new(STEP)
+        self._rate, self._force = self._step.rate_C, self._step.force_C
         if pose is not None:
             pose_model.start(params, pose, self.noise, self.filters)
 
@@ -39,9 +41,9 @@ class JointFilter:
 
     def predict(self, rate: np.ndarray, force: np.ndarray, hill: np.record) -> None:
         """Make a step with samples of gyro and accelerometer."""
-        step = new(STEP)
-        step.rate_C, step.force_C, step.hill = rate, force, hill
-        joint_filter.predict(self.params, self.filters, step)
+        self._rate[:], self._force[:] = rate, force
+        self._step.hill = hill
+        joint_filter.predict(self.params, self.filters, self._step)
 
     def innovate_attitude(self, q: np.ndarray, covariance: np.ndarray) -> float:
         """Return the NIS of a measured attitude; ``found`` has its innovation."""

@@ -67,6 +67,7 @@ def test_planar_scenario_is_flown_in_the_plane() -> None:
     [
         ("initial.position_m=[5.0, 0.1, 0.0]", "initial.position_m: leaves the x-z plane of H"),
         ("initial.attitude_deg=[1.0, 0.0, 0.0]", "initial.attitude_deg: leaves the x-z plane of H"),
+        ("target.attitude_deg=[1.0, 0.0, 0.0]", "target.attitude_deg: leaves the x-z plane of H"),
         ("gnc.guidance.ready_point_m=[0.4, 0.1, 0.0]", "gnc.guidance.ready_point_m: leaves the x-z plane"),
     ],
 )

@@ -13,6 +13,8 @@ import pytest
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+from tests.support.run_settings import without_figures
+
 pytestmark = pytest.mark.xdist_group("campaign")
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "scripts"
@@ -33,6 +35,7 @@ def test_script_is_short_and_works(
     assert len(code) <= LINES_MOST
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})  # cases run in this process, with its kernels
-    runpy.run_path(str(script), run_name="__main__")
+    with without_figures():
+        runpy.run_path(str(script), run_name="__main__")
     plt.close("all")
     assert capsys.readouterr().out or list(tmp_path.iterdir())

@@ -123,8 +123,8 @@ def test_links_of_the_description_are_completed_by_the_address_of_the_project() 
     described = runpy.run_path(str(ROOT / "hatch_build.py"))["described"]
     text = "![plan](pictures/a.png) and [page](pages/b.md#c), [site](https://x.org)"
     assert described(text, "") == " and page, [site](https://x.org)"
-    assert described(text, "https://x.org/f/") == (
-        "![plan](https://x.org/f/pictures/a.png) and [page](https://x.org/f/pages/b.md#c), [site](https://x.org)"
+    assert described(text, "https://x.org/blob/f/") == (
+        "![plan](https://x.org/raw/f/pictures/a.png) and [page](https://x.org/blob/f/pages/b.md#c), [site](https://x.org)"
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hil.cli.main import _EXTRAS
+from hil.core.build_info import VERSION
 from hil.parts.campaigns.pytest_plugin.options import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,6 +61,26 @@ def test_requirements_of_each_use_have_hashes_and_the_versions_of_the_constraint
     assert [
         block.splitlines()[0] for block in blocks if "--hash=sha256:" not in block and not block.startswith("#")
     ] == []
+
+
+def test_version_is_the_same_in_all_files_and_the_changelog_has_its_date() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == VERSION
+    assert f"\n## {VERSION} ({citation['date-released']})\n" in (ROOT / "CHANGELOG.md").read_text()
+    for path in (ROOT / "plugins").glob("*/pyproject.toml"):
+        plugin = tomllib.loads(path.read_text())["project"]
+        own = [each for each in plugin["dependencies"] if each.startswith("hil-")]
+        assert plugin["version"] == VERSION, path
+        assert own
+        assert [each for each in own if not each.endswith(f">={VERSION}")] == [], path
+
+
+def test_metadata_are_of_a_version_that_indexes_take() -> None:
+    for path in (ROOT / "pyproject.toml", *(ROOT / "plugins").glob("*/pyproject.toml")):
+        targets = tomllib.loads(path.read_text())["tool"]["hatch"]["build"]["targets"]
+        assert {name: each["core-metadata-version"] for name, each in targets.items()} == {
+            "sdist": "2.4", "wheel": "2.4",
+        }  # fmt: skip
 
 
 def test_extra_named_for_a_missing_package_installs_it_and_is_in_all() -> None:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.alarms import LOW, AlarmKind
 from hil.core.fields import Field, record_dtype
 from hil.frmn.ring import NoTelemetry, Telemetry
-from hil.loop.runner import Outcome
+from hil.loop.runner import Outcome, Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.section import Section
 from hil.session.assembly import Job
@@ -22,6 +23,8 @@ SAMPLE_FIELDS = (
     Field("range_m", "f8", (), "m", "", "distance between chaser and target; nan beyond the longest one"),
 )
 SAMPLE = record_dtype(SAMPLE_FIELDS)
+NEAR = AlarmKind("distance", "ranging", "H-18", "m", priority=LOW)
+"""Quantity, device, hazard of docs/hazards.toml, SI unit of the numbers."""
 
 
 @contextmanager
@@ -29,6 +32,7 @@ def attach(job: Job, parts: SessionParts) -> Iterator[None]:
     """Add the part to the session of ``job``, until the run has ended."""
     sampler = Sampler(job.scenario.value.table_of_part("ranging"), parts.sinks.get("ranging_samples", NoTelemetry()))
     parts.layers.append(sampler.over)
+    parts.on_built.append(sampler.begin)
     parts.results.append(sampler.result)
     yield
 
@@ -41,6 +45,10 @@ class Sampler:
         self._next_s = -math.inf
         self._row = np.zeros(1, SAMPLE)
         self._samples: list[tuple[float, float]] = []
+
+    def begin(self, runner: Runner) -> None:
+        """Take the safety monitor of the session, whose alarms console, report and summary show."""
+        self._safety = runner.safety
 
     def over(self, rows: Telemetry) -> Telemetry:
         """Return this layer, which passes each row on to ``rows``."""
@@ -58,6 +66,10 @@ class Sampler:
         self._row[0] = (t_s, range_m if range_m <= self._table.range_max_m else math.nan)
         self._samples.append(self._row[0].item())
         self._out.put(self._row)
+        if range_m < self._table.alarm_below_m:  # further calls change nothing while the condition lasts
+            self._safety.alarms.raise_condition(NEAR.alarm(t_s, "ranging", range_m, self._table.alarm_below_m))
+        else:
+            self._safety.alarms.return_to_normal("ranging", NEAR.quantity)
 
     def result(self, outcome: Outcome) -> PartResult:
         """Return the numbers of the summary, table ``ranging``, and the rows of the run."""

@@ -14,3 +14,5 @@ class Ranging(ConfigModel):
     """Samples per second, at most one per cycle."""
     range_max_m: Positive = 100.0
     """Longest distance that is measured."""
+    alarm_below_m: Annotated[float, Field(ge=0.0)] = 0.0
+    """An alarm of low priority stands while the distance is shorter; `safety.request_hold(text)` would hold the run."""

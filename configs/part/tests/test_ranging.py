@@ -20,6 +20,13 @@ def test_run_has_rows_numbers_section_and_command(tmp_path: Path, capsys: pytest
     assert len(capsys.readouterr().out.splitlines()) == 21
 
 
+def test_alarm_stands_while_the_distance_is_short() -> None:
+    near = {"ranging.alarm_below_m": 50.0}
+    (alarm,) = hil.run("scheme-1", duration_s=1.0, overrides=near).summary["alarms"]
+    assert (alarm["code"], alarm["device"], alarm["allowed"], alarm["active"]) == ("distance", "ranging", 50.0, True)
+    assert hil.run("scheme-1", duration_s=1.0, overrides={"ranging.rate_hz": 5.0}).summary["alarms"] == []
+
+
 def test_run_without_the_table_does_not_use_the_part() -> None:
     assert "ranging" not in hil.run("scheme-1", duration_s=1.0).summary
 

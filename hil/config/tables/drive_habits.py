@@ -20,6 +20,8 @@ class DriveHabits(ConfigModel):
     """A new mode is taken only while the drive is enabled."""
     bits_lag_s: Delay = 0.0
     """From a new mode until bits 10, 12 and 13 of the statusword are those of the mode."""
+    state_lag_s: Delay = 0.0
+    """From a new state until the statusword shows it."""
     no_remote_frames: bool = False
     """Identifiers of TPDOs without bit 30 are refused."""
     velocity_unit: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] | None = None
@@ -30,6 +32,8 @@ class DriveHabits(ConfigModel):
     """Increments per turn that 0x608F declares, as a multiple of the true ones."""
     missing: tuple[ObjectIndex, ...] = ()
     """Objects of the data sheet that the drive does not have."""
+    missing_code: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x06020000
+    """SDO abort code with which it answers for them."""
     aborts: tuple[ObjectIndex, ...] = ()
     """Objects that cannot be written, also if the data sheet allows it."""
     supported_modes: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] | None = None

@@ -304,6 +304,16 @@ class DeviceTable(OpenTable):
         except ValueError:
             return None
 
+    @classmethod
+    def driver_tables(cls) -> dict[str, type[ConfigModel]]:
+        """Return the models of the tables of all usable drivers of the device, by their names."""
+        names = dict.fromkeys([*_BUILT_IN, *(point.name for point in entry_points(group=GROUP))])
+        models = {}
+        for device, _, name in (key.partition(".") for key in names):
+            if device == cls.device and (model := cls.added_model(name)) is not None:
+                models[name] = model
+        return models
+
     @field_validator("driver")
     @classmethod
     def _driver_is_registered(cls, value: str) -> str:

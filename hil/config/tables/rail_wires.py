@@ -28,7 +28,7 @@ class ModbusRtu(ConfigModel):
     adapter_latency_s: Delay = 0.0
     """Time for which a USB adapter collects bytes."""
     device_ids: Annotated[tuple[DeviceId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
-    """Modbus device ids of x, y, z; of further axes also of u, v, w."""
+    """Modbus device ids of x, y, z, of further axes also of u, v, w; or of as many drives as there are."""
 
     @property
     def bits_per_byte(self) -> int:

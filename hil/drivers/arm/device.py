@@ -16,6 +16,7 @@ from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback
 from hil.core.plug_ins import call
 from hil.drivers.arm.model import ArmKinematics, ArmPath, FlangePose, Unreachable, braking
+from hil.drivers.arm.setpoints import JoinedSetpoints
 from hil.drivers.axes import SetpointLimits
 from hil.drivers.base import AxisGroup
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
@@ -167,6 +168,7 @@ class ArmAxes(CyclicAxisGroup):
         self._period_s = _PERIOD_S
         self._span: tuple[Array, Array, float] | None = None
         self.opened: set[str] = set()
+        self.setpoints = JoinedSetpoints(rig.robot_axes(name))
 
     def set_period(self, period_s: float) -> None:
         """Expect a setpoint every ``period_s``."""
@@ -232,24 +234,20 @@ class ArmAxes(CyclicAxisGroup):
 
 
 class ArmPart:
-    """AxisGroup of the axes of a robot that stand for one group. The device is open while one of its parts is."""
+    """AxisGroup of those axes of a robot, from ``first`` on, that stand for one group; open while one of them is."""
 
-    def __init__(self, axes: ArmAxes, name: str, table: AxisGroupTable, parts: list[ArmPart]) -> None:
+    def __init__(self, axes: ArmAxes, name: str, table: AxisGroupTable, first: int) -> None:
         self.name = name
         self._limits = SetpointLimits(name, table)
         self.axis_names = self._limits.names
-        first = sum(len(part.axis_names) for part in parts)
-        self._axes, self._parts, self._of = axes, parts, slice(first, first + len(self.axis_names))
-        self.given: tuple[Array, Array, float] | None = None
-        """Setpoint that waits for the other part's."""
-        parts.append(self)
+        self._axes, self._of = axes, slice(first, first + len(self.axis_names))
 
     def open(self, now_s: float) -> None:
         """Connect to the robot, unless another part has done so. Raises DeviceError."""
         if self.name in self._axes.opened or not self._axes.opened:
             self._axes.opened.clear()
             self._axes.open(now_s)
-        self.given = None
+        self._axes.setpoints.forget(self.name)
         self._axes.opened.add(self.name)
 
     def home(self, now_s: float) -> None:
@@ -270,12 +268,8 @@ class ArmPart:
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Set the axes of this part; they go to the robot with those of the other parts of the same time."""
         accepted, accepted_rate = self._limits.accepted(position, rate, self._axes.jogging)
-        self.given = accepted, accepted_rate, now_s
-        given = [part.given for part in self._parts if part.given is not None and part.given[2] == now_s]
-        if len(given) < len(self._parts):
-            return accepted
-        together = [np.concatenate([each[k] for each in given]) for k in (0, 1)]
-        return np.array(self._axes.send(together[0], together[1], now_s)[self._of])
+        joined = self._axes.setpoints.joined(self.name, accepted, accepted_rate, now_s)
+        return accepted if joined is None else np.array(self._axes.send(*joined, now_s)[self._of])
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback of these axes. Raises LinkTimeout, DeviceError."""
@@ -306,6 +300,8 @@ def make_arms(rig: Rig, clock: BenchClock) -> dict[str, AxisGroup]:
     """Return the axes of the robots of ``rig``, by the groups that they stand for."""
     made: dict[str, AxisGroup] = {}
     for name, robot in rig.robots.items():
-        axes, parts = ArmAxes(rig, clock, robot.make_driver(clock, name), name), list[ArmPart]()
-        made |= {group: ArmPart(axes, group, table, parts) for group, table in rig.robot_axes(name).items()}
+        axes, first = ArmAxes(rig, clock, robot.make_driver(clock, name), name), 0
+        for group, table in rig.robot_axes(name).items():
+            made[group] = ArmPart(axes, group, table, first)
+            first += len(table.axis_names)
     return made

@@ -7,6 +7,7 @@ import numpy as np
 from hil.config.rig import AxisGroupTable, Rig
 from hil.core.messages import Array
 from hil.drivers.arm.model import ArmKinematics, ArmPath, Unreachable
+from hil.drivers.arm.setpoints import JoinedSetpoints
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import DeviceError
 
@@ -26,15 +27,14 @@ class _MockRobot:
 
     def restart(self) -> None:
         """Begin at the next setpoints."""
-        self._begun, self._given = False, dict[str, tuple[Array, Array, float]]()
+        self._begun, self._setpoints = False, JoinedSetpoints(self._own)
 
     def take(self, group: str, position: Array, rate: Array, now_s: float) -> None:
         """Take the setpoint of a group; with that of the last one check the pose, and fail all if it is not allowed."""
-        self._given[group] = position[self._own[group]], rate[self._own[group]], now_s
-        given = [self._given[each] for each in self._own if each in self._given and self._given[each][2] == now_s]
-        if len(given) < len(self._own):
+        own = self._own[group]
+        if (joined := self._setpoints.joined(group, position[own], rate[own], now_s)) is None:
             return
-        axes, rates = (np.concatenate([each[k] for each in given]) for k in (0, 1))
+        axes, rates = joined
         try:
             if not self._begun:
                 self._path.begin(axes, now_s)

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.cameras import CameraInterface, CameraSettings, PixelFormat
 from hil.errors import DeviceError
 
@@ -88,6 +89,10 @@ class Camera(Protocol):
     @property
     def shutter(self) -> str:
         """The camera's ``SensorShutterMode`` (SFNC): Global, Rolling, GlobalReset; empty without one."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """The camera, and the part of its sensor that its images show."""
 
     @property
     def packet_bytes(self) -> int:

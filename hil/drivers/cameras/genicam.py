@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity, identity_by
 from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import (
     BITS,
@@ -154,6 +155,27 @@ class GenicamCamera:
         except AravisError:
             return ""
         return (mode or b"").decode(errors="replace")
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """See ``Camera``."""
+        library, device = self._library, self._library.camera_get_device(self._camera)
+
+        def read(feature: str, kind: type) -> Any:
+            get = {
+                str: library.device_get_string_feature_value,
+                int: library.device_get_integer_feature_value,
+                bool: library.device_get_boolean_feature_value,
+            }[kind]
+            try:
+                value = get(device, feature.encode())
+            except AravisError:
+                return None
+            return (
+                value.decode(errors="replace") if isinstance(value, bytes) else None if value is None else kind(value)
+            )
+
+        return identity_by(read)
 
     @property
     def packet_bytes(self) -> int:

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, stamp_of, to_8_bits
 from hil.drivers.cameras.node_map import NodeMap, link_lost, reason, vendor_module
@@ -58,6 +59,11 @@ class GentlCamera:
     def shutter(self) -> str:
         """See ``Camera``."""
         return self._nodes.shutter
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """See ``Camera``."""
+        return self._nodes.identity
 
     @property
     def packet_bytes(self) -> int:

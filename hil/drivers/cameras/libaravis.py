@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
+from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
 from functools import cache
 from typing import Any, Final
 
@@ -41,6 +41,8 @@ _FUNCTIONS: Final[dict[str, tuple[Any, list[Any]]]] = {
     "arv_camera_get_device": (c_void_p, [c_void_p]),
     "arv_device_set_features_from_string": (c_int, [c_void_p, c_char_p, "error"]),
     "arv_device_get_string_feature_value": (c_char_p, [c_void_p, c_char_p, "error"]),
+    "arv_device_get_integer_feature_value": (c_int64, [c_void_p, c_char_p, "error"]),
+    "arv_device_get_boolean_feature_value": (c_int, [c_void_p, c_char_p, "error"]),
     "arv_camera_get_sensor_size": (None, [c_void_p, _INT_P, _INT_P, "error"]),
     "arv_camera_set_region": (None, [c_void_p, c_int, c_int, c_int, c_int, "error"]),
     "arv_camera_get_region": (None, [c_void_p, _INT_P, _INT_P, _INT_P, _INT_P, "error"]),

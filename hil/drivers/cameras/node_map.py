@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
+from hil.config.camera_identity import CameraIdentity, identity_by
 from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import (
     EXPOSURE_STARTS,
@@ -72,6 +73,11 @@ class NodeMap:
     def shutter(self) -> str:
         """The camera's shutter, empty without one."""
         return str(self._attribute(SHUTTER, "value")) if self.has(SHUTTER) else ""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """See ``Camera``."""
+        return identity_by(lambda feature, kind: kind(self._attribute(feature, "value")) if self.has(feature) else None)
 
     @property
     def packet_bytes(self) -> int:

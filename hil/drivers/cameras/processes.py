@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity, identity_doubt, identity_problem
 from hil.config.rig import Vmu
 from hil.config.tables.cameras import CameraSettings
 from hil.core.child_process import ChildProcess, Message
@@ -50,6 +51,8 @@ class CameraProcesses:
         """Jumps of the cameras' clocks."""
         self.skipped = 0
         """Frames that were overwritten before they were read."""
+        self.identities: dict[str, CameraIdentity | None] = {}
+        """Identities of the cameras by their names."""
         self.shutters: dict[str, str] = {}
         """Shutters of the cameras by their names, empty for one that reports none."""
         self._rings = [frame_ring(size) for size in sizes]
@@ -76,6 +79,7 @@ class CameraProcesses:
                 ready = child.wait_ready(_READY_WALL_S)
                 raise_failure(ready)
                 self.shutters[camera] = ready["shutter"]
+                self.identities[camera] = CameraIdentity.model_validate(ready["identity"], strict=False)
         except BaseException:
             self.close()
             raise
@@ -106,6 +110,17 @@ class CameraProcesses:
     def _note(self, side: int, record: np.void) -> None:
         self.jumps[side] = int(record["jumps"])
         self._arrived_s[side] = max(self._arrived_s[side], float(record["arrived_s"]))
+
+    def check_identities(self, stated: Mapping[str, CameraIdentity | None]) -> str:
+        """Return "" if the cameras are those of a geometry or scene file, else that this is not proven.
+
+        stated: by the names of the cameras. Raises DeviceError for a camera that is another one.
+        """
+        if problem := identity_problem(stated, self.identities):
+            name, key, here, there = problem
+            text = f"{key} {there}: its geometry or scene file has identity.{key} {here}: calibrate this camera"
+            raise DeviceError(name, text)
+        return identity_doubt(stated, self.identities)
 
     def check(self, now_s: float) -> None:
         """Raise DeviceError for a camera whose process has ended, or that has sent nothing for ``timeout_s``."""

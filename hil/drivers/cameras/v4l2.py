@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import CameraFrame, CameraInfo, check_size
 from hil.errors import DeviceError, LinkLost
@@ -19,6 +20,7 @@ _UNIT_S: Final = 1e-4  # V4L2: units of 100 us
 _TOLERANCE: Final = 0.1
 _QUERY_CAPABILITIES: Final = 0x8068_5600  # VIDIOC_QUERYCAP
 _CAPABILITIES: Final = struct.Struct("16s32s32sIII12x")  # driver, card, bus, version, capabilities of device and node
+_SYSTEM: Final = Path("/sys/class/video4linux")
 _VIDEO_CAPTURE: Final = 0x1 | 0x1000  # single-planar, multi-planar
 
 
@@ -30,7 +32,7 @@ class V4l2Camera:
     ) -> None:
         import cv2  # slow to import
 
-        self._name = name
+        self._name, self._identifier = name, identifier
         self._size = size
         self._frames = 0
         if settings.trigger != "none":
@@ -61,6 +63,12 @@ class V4l2Camera:
     def shutter(self) -> str:
         """See ``Camera``: V4L2 reports none."""
         return ""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """See ``Camera``: V4L2 reports no region of the sensor; the serial number is that of USB."""
+        node = _SYSTEM / Path(self._identifier).resolve().name
+        return CameraIdentity(model=_line(node / "name"), serial=_line((node / "device").resolve().parent / "serial"))
 
     @property
     def packet_bytes(self) -> int:
@@ -103,6 +111,11 @@ class V4l2Camera:
         self._capture.release()
 
 
+def _line(path: Path) -> str | None:
+    """Return the line of a file of the system, None without one."""
+    return path.read_text(errors="replace").strip() or None if path.is_file() else None
+
+
 def _captures(path: Path) -> bool:
     """Return whether a node gives images; cameras have further ones, of metadata."""
     try:
@@ -119,7 +132,7 @@ def _captures(path: Path) -> bool:
     return bool(_CAPABILITIES.unpack(answer)[5] & _VIDEO_CAPTURE)
 
 
-def found_devices(folder: Path = Path("/sys/class/video4linux")) -> list[CameraInfo]:
+def found_devices(folder: Path = _SYSTEM) -> list[CameraInfo]:
     """Return the video devices of this host that give images."""
     devices = []
     for path in sorted(folder.glob("video*")):

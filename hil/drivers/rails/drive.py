@@ -214,7 +214,7 @@ def make_wires(config: LinearAxes, timeout_s: float, counters: Counters, clock: 
         rtu = config.rtu or ModbusRtu()
         line = ModbusBus.on_port(rtu.port or "", rtu, rtu.exchange_s(config.map), counters, clock)
         attempt_s = _attempt_s(timeout_s, len(config.axes))
-        return [ModbusDevice(line, rtu.device_ids[axis], attempt_s) for axis in config.axis_numbers]
+        return [ModbusDevice(line, device_id, attempt_s) for device_id in config.ids_of(rtu.device_ids)]
     axes = tcp_axes(config)
     hosts = [(axis.host, axis.port or 0) for axis in axes]
     lines = {host: ModbusBus.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}

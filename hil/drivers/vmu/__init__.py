@@ -43,6 +43,7 @@ CAMERA_COUNTERS: Final = (
     "lost",
     "skipped",
     "pair_skew_max_us",
+    "identity_proven",
     *(
         f"{stage}_{percentile}_us"
         for stage in ("exposure_to_image", "image_to_solver", "solver", "exposure_to_pose")
@@ -56,6 +57,7 @@ pairs: both images of an exposure arrived. left_only, right_only: the other imag
 images with missing packets, which are not used. late: images that arrived after their pair was solved. odd_numbers:
 pairs that were not used because frame numbers contradict times. lost: exposures without any image. skipped: images that
 were overwritten before they were solved. pair_skew_max_us: largest difference of the exposures of a pair.
+identity_proven: 1 if the cameras are those of the geometry file by serial number and region of the sensor.
 exposure_to_image: until both images have arrived. image_to_solver: from there until the solver begins. solver: from
 there to the pose in shared memory. exposure_to_pose: all of this.
 """

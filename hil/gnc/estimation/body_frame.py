@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.gnc.estimation.error_state import BIAS, DRIFT, ROTATION
 from hil.maths import quat, stack
 from hil.maths.arrays import cross_into, fill
 from hil.models.rotating_frame import frame_acceleration
@@ -60,17 +61,29 @@ def _transformation(a, before, after, f):
 
 
 @kernel
-def _congruence(f, p, n):
-    """Transform the covariance ``p`` (n, n), whose first six errors are those of r and v, by ``f`` (6, 6)."""
+def _congruence(f, p, n, rate):
+    """Transform the covariance ``p`` (n, n), whose first six errors are those of r and v, by ``f`` (6, 6).
+
+    A row beyond these six is the mirror of its column, but for those of the rotation and of the target's rate, from
+    index ``rate`` on: what the rate adds to both (``target_motion.carry_errors``) is symmetric to rounding.
+    """
+    a00, a01, a02, a10, a11, a12 = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
+    a20, a21, a22, b00, b01, b02 = f[2, 0], f[2, 1], f[2, 2], f[3, 0], f[3, 1], f[3, 2]
+    b10, b11, b12, b20, b21, b22 = f[4, 0], f[4, 1], f[4, 2], f[5, 0], f[5, 1], f[5, 2]
+    for j in range((n + 7) // 8 * 8):  # whole vector registers
+        x0, x1, x2, x3, x4, x5 = p[0, j], p[1, j], p[2, j], p[3, j], p[4, j], p[5, j]
+        p[0, j] = a00 * x0 + a01 * x1 + a02 * x2
+        p[1, j] = a10 * x0 + a11 * x1 + a12 * x2
+        p[2, j] = a20 * x0 + a21 * x1 + a22 * x2
+        p[3, j] = b00 * x0 + b01 * x1 + b02 * x2 + a00 * x3 + a01 * x4 + a02 * x5
+        p[4, j] = b10 * x0 + b11 * x1 + b12 * x2 + a10 * x3 + a11 * x4 + a12 * x5
+        p[5, j] = b20 * x0 + b21 * x1 + b22 * x2 + a20 * x3 + a21 * x4 + a22 * x5
     new = stack.vector(6)
-    for column in range(n):
-        for i in range(6):
-            new[i] = 0.0
-            for j in range(6):
-                new[i] += f[i, j] * p[j, column]
-        for i in range(6):
-            p[i, column] = new[i]
     for row in range(n):
+        if not (row < BIAS or ROTATION <= row < DRIFT or (rate != 0 and rate <= row < rate + 3)):
+            for i in range(6):
+                p[row, i] = p[i, row]
+            continue
         for i in range(6):
             new[i] = 0.0
             for j in range(6):
@@ -80,26 +93,27 @@ def _congruence(f, p, n):
 
 
 @kernel
-def enter_middle(axes, filters, n):
+def enter_middle(axes, filters, n, rate):
     """Transform the PKF's estimate and the covariance of the ``n`` errors of FILTERS for the filter's step.
 
-    axes: AXES_STEP. The step is made in axes at rest, those of the body in mid-step.
+    axes: AXES_STEP. rate: index of the target's rate among the errors, 0 if it is none of them. The step is made in
+    axes at rest, those of the body in mid-step.
     """
     rest = stack.vector(3)
     fill(rest, 0.0)
-    _apply(axes.half, axes.before, rest, filters, n)
+    _apply(axes.half, axes.before, rest, filters, n, rate)
 
 
 @kernel
-def leave_middle(axes, filters, n):
+def leave_middle(axes, filters, n, rate):
     """Transform back after the filter's step; arguments: see ``enter_middle``."""
     rest = stack.vector(3)
     fill(rest, 0.0)
-    _apply(axes.half, rest, axes.after, filters, n)
+    _apply(axes.half, rest, axes.after, filters, n, rate)
 
 
 @kernel
-def _apply(a, before, after, filters, n):
+def _apply(a, before, after, filters, n, rate):
     f, new = stack.matrix(6, 6), stack.vector(6)
     _transformation(a, before, after, f)
     for i in range(6):
@@ -108,7 +122,7 @@ def _apply(a, before, after, filters, n):
             new[i] += f[i, j] * filters.pkf.x[j]
     for i in range(6):
         filters.pkf.x[i] = new[i]
-    _congruence(f, filters.p, n)
+    _congruence(f, filters.p, n, rate)
 
 
 @kernel

@@ -20,7 +20,7 @@ from hil.core.jit import kernel
 from hil.gnc.estimation.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
 from hil.maths import stack
 
-_TRANSPOSED: Final = 16  # columns for position, velocity and rotation: LLVM makes vectors of no shorter loops
+_TRANSPOSED: Final = 12  # columns for position, velocity and rotation, in whole vector registers
 
 
 @kernel

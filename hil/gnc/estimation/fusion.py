@@ -52,6 +52,7 @@ NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 FUSION_PARAMS = np.dtype(
     [
         ("memory", "i8"),  # steps that are kept
+        ("ring", "i8"),  # the same rounded up to a power of two, less 1: of the addresses
         ("noise_scale", "f8"),  # of the standard deviations that poses report
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
         ("orbit", TARGET_ORBIT),
@@ -160,10 +161,10 @@ def _predict(params, state, step):
             target_motion.move(params.orbit, errors, params.akf.dt_s, filters.parameters, step.hill)
             copy_into(expected_drift, filters.akf.x[4:7])  # none of it is an error of the rate
         body_frame.correct_motion(step.hill, filters.akf, expected_drift, params.akf.dt_s, axes)
-        body_frame.enter_middle(axes, filters, errors.n)
+        body_frame.enter_middle(axes, filters, errors.n, errors.target_rate)
     joint_filter.predict(params, filters, step)
     if step.hill.rotates != 0:
-        body_frame.leave_middle(axes, filters, errors.n)
+        body_frame.leave_middle(axes, filters, errors.n, errors.target_rate)
         if errors.target_rate != 0:
             target_motion.carry_errors(params.orbit, errors, params.akf.dt_s, filters)
 

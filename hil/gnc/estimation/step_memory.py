@@ -74,12 +74,12 @@ _SENSOR_WORDS = SENSOR_STEP.itemsize // 8
 
 def new_memory(params: np.record) -> np.ndarray:
     """Return the zeroed memory of filters with FUSION_PARAMS ``params``, an array of floats for ``step_at``."""
-    return np.zeros(int(params.memory) * _words(params))
+    return np.zeros(int(params.ring + 1) * _words(params))
 
 
 def memory_steps(params: np.record, memory: np.ndarray) -> np.ndarray:
     """Return the steps in ``memory`` (of ``new_memory``) as a view, (n,) of STEP."""
-    rows = memory.reshape(int(params.memory), -1)
+    rows = memory.reshape(int(params.ring + 1), -1)
     return rows[:, :_STEP_WORDS].view(STEP)[:, 0]
 
 
@@ -100,13 +100,13 @@ def _words(params):
 @kernel
 def step_at(params, memory, cycle):
     """Return the STEP of step number ``cycle``, which is in the memory."""
-    return record_at(memory, (cycle % params.memory) * _words(params), STEP)
+    return record_at(memory, (cycle & params.ring) * _words(params), STEP)
 
 
 @kernel
 def sensor_step_at(params, memory, cycle):
     """Return the SENSOR_STEP of step number ``cycle``, which is in the memory. There are sensors."""
-    return record_at(memory, (cycle % params.memory) * _words(params) + _filter_words(params), SENSOR_STEP)
+    return record_at(memory, (cycle & params.ring) * _words(params) + _filter_words(params), SENSOR_STEP)
 
 
 @kernel
@@ -117,7 +117,7 @@ def keep_predicted(params, filters, memory, cycle):
     copy_into(step.akf.x, filters.akf.x)
     copy_into(step.akf.w_CH_C, filters.akf.w_CH_C)
     copy_into(step.pkf.x, filters.pkf.x)
-    at = (cycle % params.memory) * _words(params) + _STEP_WORDS
+    at = (cycle & params.ring) * _words(params) + _STEP_WORDS
     for j in range(0, n, 8):
         copy_eight(memory, at, filters.parameters, j)
         at += 8
@@ -135,7 +135,7 @@ def return_to(params, filters, memory, cycle):
     copy_into(filters.akf.x, step.akf.x)
     copy_into(filters.akf.w_CH_C, step.akf.w_CH_C)
     copy_into(filters.pkf.x, step.pkf.x)
-    at = (cycle % params.memory) * _words(params) + _STEP_WORDS
+    at = (cycle & params.ring) * _words(params) + _STEP_WORDS
     for j in range(0, n, 8):
         copy_eight(filters.parameters, j, memory, at)
         at += 8

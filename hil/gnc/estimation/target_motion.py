@@ -153,20 +153,19 @@ def carry_errors(orbit, errors, dt, filters):
     ``dt``.
     """
     f, p, n, k = stack.matrix(9, 6), filters.p, errors.n, errors.target_rate
-    m = errors.target_moments
-    size = 3 if m == 0 else 6  # the moments follow the rate
     _sensitivities(orbit, errors, dt, filters, f)
+    size = 3 if errors.target_moments == 0 else 6  # the moments follow the rate
+    for first, rows in ((0, V), (3, ROTATION), (6, k)):  # the rate, from which all gain, at last
+        if size == 3:
+            _gain_by_rate(f[first : first + 3], p[k : k + 3], p[rows : rows + 3], errors.lanes)
+        else:
+            _gain_by_all(f[first : first + 3], p[k : k + 6], p[rows : rows + 3], errors.lanes)
     gained = stack.vector(9)
     for j in range(n):
-        for i in range(9):
-            gained[i] = 0.0
-            for s in range(size):
-                gained[i] += f[i, s] * p[k + s, j]
-        for i in range(3):
-            p[V + i, j] += gained[i]
-            p[ROTATION + i, j] += gained[3 + i]
-            p[k + i, j] += gained[6 + i]
-    for j in range(n):
+        if V + 3 <= j < ROTATION or (j >= ROTATION + 3 and not k <= j < k + 3):
+            for i in range(3):  # the mirror of a column
+                p[j, V + i], p[j, ROTATION + i], p[j, k + i] = p[V + i, j], p[ROTATION + i, j], p[k + i, j]
+            continue
         for i in range(9):
             gained[i] = 0.0
             for s in range(size):
@@ -177,6 +176,31 @@ def carry_errors(orbit, errors, dt, filters):
             p[j, k + i] += gained[6 + i]
     if errors.target_walk != 0.0:
         _add_walk(errors, filters)
+
+
+@kernel
+def _gain_by_rate(f, of_rate, out, lanes):
+    """Add ``f`` (3, 3) times the rows ``of_rate`` to three rows ``out`` of a covariance, which may be the same."""
+    a0, a1, a2, b0, b1, b2 = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
+    c0, c1, c2 = f[2, 0], f[2, 1], f[2, 2]
+    for j in range(lanes):
+        x0, x1, x2 = of_rate[0, j], of_rate[1, j], of_rate[2, j]
+        out[0, j] += a0 * x0 + a1 * x1 + a2 * x2
+        out[1, j] += b0 * x0 + b1 * x1 + b2 * x2
+        out[2, j] += c0 * x0 + c1 * x1 + c2 * x2
+
+
+@kernel
+def _gain_by_all(f, of_all, out, lanes):
+    """``_gain_by_rate`` by the rows of rate and moments, six."""
+    a0, a1, a2, a3, a4, a5 = f[0, 0], f[0, 1], f[0, 2], f[0, 3], f[0, 4], f[0, 5]
+    b0, b1, b2, b3, b4, b5 = f[1, 0], f[1, 1], f[1, 2], f[1, 3], f[1, 4], f[1, 5]
+    c0, c1, c2, c3, c4, c5 = f[2, 0], f[2, 1], f[2, 2], f[2, 3], f[2, 4], f[2, 5]
+    for j in range(lanes):
+        x0, x1, x2, x3, x4, x5 = of_all[0, j], of_all[1, j], of_all[2, j], of_all[3, j], of_all[4, j], of_all[5, j]
+        out[0, j] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a4 * x4 + a5 * x5
+        out[1, j] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3 + b4 * x4 + b5 * x5
+        out[2, j] += c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3 + c4 * x4 + c5 * x5
 
 
 @kernel

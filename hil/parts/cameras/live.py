@@ -110,16 +110,20 @@ def middle_row_s(geometry: VmuGeometry) -> float:
     return sum(0.25 * abs(camera.row_time_s or 0.0) * (camera.height - 1) for camera in cameras)
 
 
-def sized_cameras(vmu: Vmu, geometry: VmuGeometry, clock: WallClock) -> CameraProcesses:
-    """Return the cameras of ``[vmu.cameras]`` for images as in ``geometry``. Raises DeviceError that names a camera."""
+def sized_cameras(vmu: Vmu, geometry: VmuGeometry, clock: WallClock) -> tuple[CameraProcesses, str]:
+    """Return the cameras of ``[vmu.cameras]`` for images as in ``geometry``, and a doubt about their identity, or "".
+
+    Raises DeviceError that names a camera.
+    """
     sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
     cameras = vision_cameras(vmu, sizes, clock)
     try:
         check_shutters(cameras.shutters, geometry)
+        doubt = cameras.check_identities({f"vmu.{side}": each for side, each in geometry.identities.items()})
     except DeviceError:
         cameras.close()
         raise
-    return cameras
+    return cameras, doubt
 
 
 def check_shutters(shutters: Mapping[str, str], geometry: VmuGeometry) -> None:
@@ -148,7 +152,7 @@ class CameraPairs:
         self._clock = WallClock(time.monotonic_ns())
         self._pairing = vision_pairing(vmu)
         self._rate_hz = vmu.rate_hz
-        self._cameras = sized_cameras(vmu, geometry, self._clock)
+        self._cameras, self.identity_doubt = sized_cameras(vmu, geometry, self._clock)
 
     def __iter__(self) -> Iterator[Pair]:
         first: int | None = None

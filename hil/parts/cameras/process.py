@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.tables.cameras import CameraSettings
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
@@ -59,6 +60,11 @@ class CameraServer:
     def shutter(self) -> str:
         """The camera's shutter, empty without one."""
         return self._camera.shutter
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """The camera's identity."""
+        return self._camera.identity
 
     def run(self, parent: Parent) -> None:
         """Serve until the parent ends. Raises DeviceError."""
@@ -138,7 +144,7 @@ def main() -> None:
         camera_type(settings_of(parent.configuration).interface)
         take_fifo(FIFO_PRIORITY - 5)  # after the imports, which fill a core; before the library starts its threads
         server = CameraServer(parent.configuration)
-        parent.send(ready=True, shutter=server.shutter)
+        parent.send(ready=True, shutter=server.shutter, identity=server.identity.model_dump(mode="json"))
         server.run(parent)
     except DeviceError as error:
         parent.send(failure=[type(error).__name__, error.device, error.what])

@@ -185,12 +185,12 @@ class _Isolated:
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    """Return worker processes, forked from one that has imported what they need."""
+    """Return worker processes, forked from one that has imported what they need and loaded the kernels."""
     for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     prepare_worker_processes()
     context = _WorkerContext()
-    context.set_forkserver_preload(["hil.parts.campaigns.engines"])
+    context.set_forkserver_preload(["hil.parts.campaigns.engines", "hil.parts.campaigns.worker_kernels"])
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
 
 

@@ -203,7 +203,7 @@ class AsciiTurntableEmulator:
         self._disable(axis)
 
     def _status(self, axis: int) -> int:
-        homing, limit = self.gimbals.homing[axis], self.gimbals.limit[axis]
+        homing, limit = self.gimbals.homing[axis], self.gimbals.limit(axis)
         shown = {
             "enabled": self._enabled[axis],
             "fault": self.fault[axis] != 0,

@@ -144,8 +144,7 @@ class Cia402Emulator:
         self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
-        for index, number in enumerate(config.axis_numbers):
-            node_id = config.cia402.node_ids[number]
+        for index, node_id in enumerate(config.ids_of(config.cia402.node_ids)):
             objects = ObjectDictionary(config.cia402, node_id, round(1000.0 * WATCHDOG_S))
             units = Units(config.cia402.counts_per_turn / math.tau, objects.velocity)
             axis = DriveAxis(self.gimbals, index, units, clock)

@@ -88,6 +88,7 @@ class EmulatedCia402Drive:
         self._guarded_until_s = math.inf  # the master's heartbeat or guarding is due until then
         self._toggle = 0
         self._enable_due_s = math.inf
+        self._shown, self._entered_s = self.state, -math.inf  # of the statusword, which may be late
         self._warned_s = 0.0
 
     def boot(self) -> list[Frame]:
@@ -211,7 +212,9 @@ class EmulatedCia402Drive:
     def _enter(self, state: DriveState) -> None:
         if state is self.state:
             return
-        self.state = state
+        if self._now_s >= self._entered_s + self._habits.state_lag_s:
+            self._shown = self.state
+        self.state, self._entered_s = state, self._now_s
         if state is DriveState.ENABLED:
             self._axis.enable()
             self._motion.begin()
@@ -221,7 +224,8 @@ class EmulatedCia402Drive:
             self._axis.disable()
 
     def _statusword(self) -> int:
-        word = self.state.bits | _REMOTE | _VOLTAGE
+        is_shown = self._now_s >= self._entered_s + self._habits.state_lag_s
+        word = (self.state if is_shown else self._shown).bits | _REMOTE | _VOLTAGE
         return word | self._motion.statusword(self._now_s)
 
     def _refresh(self) -> None:

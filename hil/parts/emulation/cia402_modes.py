@@ -68,7 +68,7 @@ class DriveAxis:
 
     def limit(self) -> int:
         """Return the active limit switch: -1, 0, 1."""
-        return self._gimbals.limit[self._axis]
+        return self._gimbals.limit(self._axis)
 
     def torque_off(self) -> bool:
         """Return whether the safety chain is open."""

@@ -232,13 +232,16 @@ class ObjectDictionary:
             raise SdoAbortedError(_WRONG_STATE)
         if subindex > 0:
             entry = self.entries.get((value >> 16, value >> 8 & 0xFF))
+            if value >> 16 in self.habits.missing:
+                raise SdoAbortedError(self.habits.missing_code)
             if entry is None or not entry.mappable or entry.size * 8 != value & 0xFF:
                 raise SdoAbortedError(_NOT_MAPPABLE)
 
     def _find(self, index: int, subindex: int) -> Object:
         entry = self.entries.get((index, subindex))
         if entry is None:
-            raise SdoAbortedError(_NO_SUCH_SUBINDEX if (index, 0) in self.entries else _NO_SUCH_OBJECT)
+            missing = self.habits.missing_code if index in self.habits.missing else _NO_SUCH_OBJECT
+            raise SdoAbortedError(_NO_SUCH_SUBINDEX if (index, 0) in self.entries else missing)
         return entry
 
 

@@ -122,11 +122,12 @@ class EmulatedAxes:
         """Positions of the high limit switches, (n,)."""
         return self._axes.high
 
-    @property
-    def limit(self) -> tuple[int, ...]:
-        """The limit switch that each axis stands on: -1 low, 1 high, 0 none."""
-        at, low, high = self._axes.position, self._axes.low + _SWITCH, self._axes.high - _SWITCH
-        return tuple(-1 if at[i] <= low[i] else 1 if at[i] >= high[i] else 0 for i in range(len(self.names)))
+    def limit(self, axis: int) -> int:
+        """Return the limit switch that the axis stands on: -1 low, 1 high, 0 none."""
+        position = self._axes.position[axis]
+        if position <= self._axes.low[axis] + _SWITCH:
+            return -1
+        return int(position >= self._axes.high[axis] - _SWITCH)
 
     def moving(self, axis: int) -> bool:
         """Whether the axis moves faster than the standstill limit."""

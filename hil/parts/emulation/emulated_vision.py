@@ -119,12 +119,12 @@ def emulated_sensor(
 
     measure_at(0.0, 0)
     rate_hz = config.rate_hz or kind.module.rate_hz
-    datagrams = None
+    frames = None
     if by_datagrams:
         sender = DatagramSender(clock, config.host, config.port)
-        datagrams = SensorFrames(sender, _datagrams(kind, config, trial))
+        frames = SensorFrames(sender, _datagrams(kind, config, trial))
     times = rate_hz, config.latency_s
-    return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, datagrams)
+    return LineSensorEmulator(device_of(name), protocol, measure_at, times, clock, seed, frames)
 
 
 def _datagrams(kind: SensorKind, config: SensorConfig, trial: Trial) -> Callable[[float, Sequence[float]], bytes]:

@@ -25,7 +25,7 @@ class SensorFrames(NamedTuple):
 
 
 class LineSensorEmulator:
-    """Sensor ``name`` on a pseudo terminal, or on the wire of ``datagrams``.
+    """Sensor ``name`` on a pseudo terminal, or on the wire of ``frames``.
 
     measure_at: returns the components of measurement ``number`` at a bench time, s, None if there is none. Each line
     leaves ``latency_s`` after its measurement.
@@ -39,14 +39,14 @@ class LineSensorEmulator:
         times: tuple[float, float],
         clock: BenchClock,
         seed: int = 0,
-        datagrams: SensorFrames | None = None,
+        frames: SensorFrames | None = None,
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
-        self._encode = datagrams.encode if datagrams else lambda _, values: protocol.encode(values)
+        self._encode = frames.encode if frames else lambda _, values: protocol.encode(values)
         self._rate_hz, self._latency_s = times
         self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self._line = datagrams.wire if datagrams else PtyLine(protocol.baud, clock)
+        self._line = frames.wire if frames else PtyLine(protocol.baud, clock)
         self._measures = not protocol.start
         self._received, self._last = b"", b""
 

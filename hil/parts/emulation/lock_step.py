@@ -11,6 +11,7 @@ sequence of events.
 from __future__ import annotations
 
 import errno
+import logging
 import math
 import os
 import select
@@ -31,8 +32,11 @@ from hil.parts.emulation import lock_step_page as pages
 if TYPE_CHECKING:
     import asyncio
 
+log = logging.getLogger("hil")
+
 _IDLE: Final = 1.25  # periods: what a cycle triggers comes before what nothing has triggered
 _DEVICE: Final = 0  # end of a wire
+_NOTICE_WALL_S: Final = 5.0  # after which a plug-in that all wait for is logged
 _LOOK_WALL_S: Final = 0.1  # between two looks for a participant whose process has ended
 
 
@@ -384,7 +388,7 @@ class LockStepConductor(LockStepClock):
             listens,
             pages.WAITING,
         )
-        moved_s, passes = time.monotonic(), words[pages.PASSES]
+        moved_s, passes, is_noticed = time.monotonic(), words[pages.PASSES], False
         while not (words[pages.BATON] == pages.LOOP_SLOT and self._has_turn()):
             if select.select([self.page.wakes[pages.LOOP_SLOT]], [], [], _LOOK_WALL_S)[0]:
                 os.eventfd_read(self.page.wakes[pages.LOOP_SLOT])
@@ -392,6 +396,9 @@ class LockStepConductor(LockStepClock):
             now_s = time.monotonic()
             if words[pages.PASSES] != passes or any(map(_is_debugged, self._remove_ended())):
                 moved_s, passes = now_s, words[pages.PASSES]
+            if now_s - moved_s > _NOTICE_WALL_S and not is_noticed:
+                is_noticed = True
+                self._notice()
             if now_s - moved_s > self._timeout_s and not self._give_up():
                 moved_s = time.monotonic()
         self._begin(at)
@@ -419,21 +426,32 @@ class LockStepConductor(LockStepClock):
                 processes.append(process)
         return processes
 
+    def _stacks(self) -> dict[int, Stack]:
+        """Return the stack of each process for which all others wait."""
+        processes = {self._words[pages.slot_at(slot) + pages.PROCESS] for slot in self._late()}
+        return {each: child.stack() if (child := child_of(each)) is not None else Stack() for each in processes}
+
+    def _notice(self) -> None:
+        """Log which code of a plug-in all others wait for."""
+        names = ", ".join(map(self.page.name_of, self._late()))
+        for where in filter(None, map(place_in, self._stacks().values())):
+            log.warning(
+                "%s: all wait for it at %.6f s of bench time: it stands %s, and is ended after %g s "
+                "(rig.host.lock_step_timeout_s)", names, self.now_s(), where, self._timeout_s,
+            )  # fmt: skip
+
     def _give_up(self) -> bool:
         """End the processes that do not do their part, whose wires end then, and name them: raise LinkTimeout.
 
         Return False if a debugger of Python stands in one of them.
         """
-        late, places = self._late(), []
-        processes = {self._words[pages.slot_at(slot) + pages.PROCESS] for slot in late}
-        for process in processes:
-            stack = child.stack() if (child := child_of(process)) is not None else Stack()
-            if stack.is_debugged:
-                return False
-            places += [where] if (where := place_in(stack)) else []
+        late, stacks = self._late(), self._stacks()
+        if any(stack.is_debugged for stack in stacks.values()):
+            return False
+        places = [*filter(None, map(place_in, stacks.values()))]
         names = ", ".join(map(self.page.name_of, late)) or "lock-step"
         text = f"has not done its part at {self.now_s():.6f} s of bench time within {self._timeout_s:g} s of wall time"
-        for process in processes:
+        for process in stacks:
             if process != os.getpid():
                 os.kill(process, signal.SIGKILL)
             self.page.remove_process(process)

@@ -99,9 +99,9 @@ class EmulatedRailDrive:
             Status.ENABLED: self._enabled and self._fault == 0,
             Status.MOVING: axes.moving(i),
             Status.QUICK_STOP: self._quick_stop,
-            Status.LIMIT: axes.limit[i] != 0,
-            Status.LIMIT_LOW: axes.limit[i] < 0,
-            Status.LIMIT_HIGH: axes.limit[i] > 0,
+            Status.LIMIT: axes.limit(i) != 0,
+            Status.LIMIT_LOW: axes.limit(i) < 0,
+            Status.LIMIT_HIGH: axes.limit(i) > 0,
             Status.HOMED: axes.homing[i] is Homing.DONE,
             Status.HOMING_FAILED: axes.homing[i] is Homing.FAILED,
         }

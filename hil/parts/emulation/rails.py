@@ -107,9 +107,7 @@ class RtuRailsEmulator:
         rtu = config.rtu or ModbusRtu()
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
         self.faults, self.drives = self._rails.faults, self._rails.drives
-        self._server = self._rails.server(
-            {index: rtu.device_ids[axis] for index, axis in enumerate(config.axis_numbers)}, tcp=False
-        )
+        self._server = self._rails.server(dict(enumerate(config.ids_of(rtu.device_ids))), tcp=False)
         self._channel = FaultyChannel(self.faults, self._rails.wire_noise)
         baud = round(rtu.baud * _PTY_BITS_PER_BYTE / rtu.bits_per_byte)
         self._line = PtyLine(baud, clock, rtu.adapter_latency_s)

@@ -12,7 +12,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from hil.config.camera_identity import MONITOR_CAMERA, write_identities
 from hil.config.scene import Scene
+from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import CAMERAS, GEOMETRY_FILE, LEFT, MONITOR, RIGHT, SCENE_FILE
 from hil.errors import BadInput
 from hil.parts.monitor.sources import WHOLE, exposure, lines_of
@@ -136,3 +138,8 @@ def _write_calibrations(recorded: Recorded, exported: Exported) -> None:
     for name, camera in ((GEOMETRY_FILE, LEFT), (SCENE_FILE, MONITOR)):
         if exported.images[camera] and name in recorded.files:
             (exported.folder / name).write_text(recorded.files[name], encoding="utf-8")
+    if exported.images[LEFT] and GEOMETRY_FILE in recorded.files:
+        write_identities(recorded.calibration(GEOMETRY_FILE, VmuGeometry).identities, exported.folder)
+    if exported.images[MONITOR] and SCENE_FILE in recorded.files:
+        identity = recorded.calibration(SCENE_FILE, Scene).camera.identity
+        write_identities({MONITOR_CAMERA: identity}, exported.folder / FOLDERS[MONITOR])

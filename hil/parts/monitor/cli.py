@@ -82,6 +82,7 @@ def monitor(
     """
     assert out is not None
 
+    from hil.config.camera_identity import MONITOR_CAMERA, PROVEN, check_folder
     from hil.config.load import load_scene
     from hil.parts.monitor.monitor import DockingMonitor, process_frames
     from hil.parts.monitor.settings import MonitorSettings
@@ -97,6 +98,7 @@ def monitor(
         q_attitude=options.q,
     )
     source = open_source(video, loaded)
+    doubt = check_folder({MONITOR_CAMERA: loaded.value.camera.identity}, Path(video), loaded.source)
     console = notices()
     portions: list[Portion] = []
     looks: list[FrameResult] = []
@@ -117,7 +119,11 @@ def monitor(
                 table.write(_row(portion))
             if source.image_count:
                 bar.show("frames", min(len(looks) / source.image_count, 1.0))
-    summary = _summary(portions, looks) | {"warning": watched.warning, "rate": _rate_of(source)}
+    summary = _summary(portions, looks) | {
+        "warning": watched.warning,
+        "rate": _rate_of(source),
+        "identity": doubt or PROVEN,
+    }
     write_json(summary, json)
     if json != "-" and out != "-":
         _render(summary, portions, Console())
@@ -274,6 +280,8 @@ def _rows_shown(portions: list[Any]) -> Iterator[Any]:
 
 
 def _render(summary: dict[str, Any], portions: list[Any], console: Console) -> None:
+    from hil.config.camera_identity import PROVEN
+
     rows = Table(title=f"{summary['frames_used']} of {summary['frames']} frames used, {len(portions)} portions")
     for name in ("t, s", "status", "range, m", "rate, m/s", "pitch, deg", "yaw, deg", "roll, deg"):
         rows.add_column(name, justify="left" if name == "status" else "right")
@@ -289,5 +297,6 @@ def _render(summary: dict[str, Any], portions: list[Any], console: Console) -> N
     console.print(rows)
     if summary["warning"]:
         console.print(f"Warning: {summary['warning']}", highlight=False)
-    for line in (*summary["refused"], summary["rate"]):
+    doubt = () if summary["identity"] == PROVEN else (summary["identity"],)
+    for line in (*summary["refused"], summary["rate"], *doubt):
         console.print(line, highlight=False)

@@ -172,6 +172,11 @@ class LiveMonitor:
         table, size = rig.monitor_camera, (scene.camera.width, scene.camera.height)
         identifier = table.camera or (MONITOR_ADDRESS if rig.kind == "emulated" else None)
         self._cameras = CameraProcesses({MONITOR: identifier}, table, scene.fps, table.timeout_s, [size], self._clock)
+        try:
+            self.identity_doubt = self._cameras.check_identities({MONITOR: scene.camera.identity})
+        except DeviceError:
+            self._cameras.close()
+            raise
 
     def update(self, timeout_s: float) -> None:
         """Process the new frames; waits up to ``timeout_s`` for one. Raises DeviceError for a camera that fails."""
@@ -377,7 +382,9 @@ def _run_live(parent: Parent, monitor: MonitorOfFrames, scene: Scene, rig: Rig) 
             pass
     finally:
         live.close()
-    parent.send(**_as_json(monitor.finish()))
+    outcome = monitor.finish()
+    outcome.warning = "; ".join(filter(None, (outcome.warning, live.identity_doubt)))
+    parent.send(**_as_json(outcome))
 
 
 def _as_json(outcome: MonitorOutcome) -> Message:

@@ -42,6 +42,7 @@ _ROWS_MAX: Final = 200_000  # that are kept in memory
 _JUDGED_EACH: Final = 5  # cycles
 _SILENT_S: Final = 2.0
 _STANDING_S: Final = 3.0  # at most, for the comparison before the first motion
+_GAP_S: Final = 0.5  # between two cycles, in which the bench may have moved
 _RECOVERED: Final = 0.7  # of its bound, below which a difference is over
 
 
@@ -92,7 +93,7 @@ class TrackerWatch:
         self._bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
         self._worth = BenchSigma(rig, scenario.step_s) if rig.bench.geometry_file is not None else None
         self.comparison = self._new_comparison()
-        self._standing, self._standing_s = self._new_comparison(), math.nan
+        self._standing, self._standing_s, self._stood_s = self.comparison, math.nan, math.nan
         self._out: Telemetry = parts.sinks.get("tracker_samples", NoTelemetry())
         self._row = np.zeros(1, SAMPLE)
         self._rows: Telemetry = NoTelemetry()
@@ -157,17 +158,19 @@ class TrackerWatch:
     def check_standing(self, now_s: float, feedback: np.record) -> bool:
         """Compare the tracker with the bench, which stands, for ``WINDOW_S``; return whether that is complete.
 
-        feedback: FEEDBACK. Raises SafetyTrip for a difference beyond its bound. A silent tracker is left to the run.
+        feedback: FEEDBACK. It begins again when it is complete, and when the bench may have moved meanwhile. Raises
+        SafetyTrip for a difference beyond its bound. A silent tracker is left to the run.
         """
-        standing = self._standing
-        self._standing_s = now_s if math.isnan(self._standing_s) else self._standing_s
+        if not now_s - self._stood_s < _GAP_S:
+            self._standing, self._standing_s = self._new_comparison(), now_s
+            self._waiting.clear()
+        standing, self._stood_s = self._standing, now_s
         standing.encoders.add(now_s, np.concatenate([feedback.rail_m, feedback.gimbal_rad]))
         for _ in self._samples(standing, now_s):
             pass
         if not standing.is_complete and now_s - self._standing_s < _STANDING_S:
             return False
-        self._standing, self._standing_s = self._new_comparison(), math.nan
-        self._waiting.clear()
+        self._stood_s = math.nan
         if standing.counts["outlier"] > standing.counts["ok"]:
             raise table.BENCH_AGAINST_TRACKER.trip(NAME, "off by more than its gate", self._config.gate_m)
         deviation = standing.deviations(standing.last_s).get("chaser")

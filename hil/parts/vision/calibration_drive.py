@@ -6,7 +6,7 @@ The drift check compares its views with the calibration of the cameras.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity, write_identities
 from hil.config.load import load_geometry
 from hil.core import alarm_table as table
 from hil.core.clock import WallClock
@@ -166,8 +167,12 @@ class _Exposure:
         return TakenView(np.mean(self._positions, axis=0), self._images)
 
 
-def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress: OnProgress) -> list[TakenView]:
-    """Return the views of ``plan``: opens cameras and axes and closes them again. Raises BenchError.
+def take_views(
+    bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress: OnProgress
+) -> tuple[list[TakenView], dict[str, CameraIdentity | None]]:
+    """Return the views of ``plan`` and the identities of the cameras, by ``left`` and ``right``.
+
+    Opens cameras and axes and closes them again. Raises BenchError.
 
     settle_s: from rest to the exposure.
     """
@@ -175,11 +180,12 @@ def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress:
     cameras = vision_cameras(bench.rig.vmu, plan.sizes, bench.clock)
     with closing(cameras), bench.axes_runner().axes_only() as sequencer:
         pairing = vision_pairing(bench.rig.vmu)
-        return CalibrationDrive(sequencer, cameras, pairing, plan.is_clear, settle_s, on_progress).take(plan.axes)
+        views = CalibrationDrive(sequencer, cameras, pairing, plan.is_clear, settle_s, on_progress).take(plan.axes)
+        return views, {side: cameras.identities[f"vmu.{side}"] for side in SIDES}
 
 
-def write_views(folder: Path, views: Sequence[TakenView]) -> None:
-    """Write a folder of views: ``views.csv`` and the images. Raises BadInput if it cannot be written."""
+def write_views(folder: Path, views: Sequence[TakenView], identities: Mapping[str, CameraIdentity | None] = {}) -> None:
+    """Write a folder of views: ``views.csv``, images and ``identities``. Raises BadInput if it cannot be written."""
     for side in SIDES:
         (folder / side).mkdir(parents=True, exist_ok=True)
     with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
@@ -193,6 +199,7 @@ def write_views(folder: Path, views: Sequence[TakenView]) -> None:
             path = folder / side / f"{k + 1:04d}.png"
             if not cv2.imwrite(str(path), image):
                 raise BadInput.single(str(path), "", "cannot be written")
+    write_identities(identities, folder)
 
 
 WHAT: Final = "drift check"
@@ -253,7 +260,7 @@ class CameraDriftCheck:
         held = weak_prior(setup, (), stored.axis_sigma, _LED_SIGMA_M, 0.0)
         request = PlanRequest(chosen.views, chosen.near_m, chosen.far_m, float(np.radians(chosen.turn_deg)))
         plan = plan_drive(self._bench.job, setup, held, request)
-        taken = take_views(self._bench, plan, chosen.settle_s, lambda *_: None)
+        taken, _ = take_views(self._bench, plan, chosen.settle_s, lambda *_: None)
         with temporary_folder("views") as folder:
             write_views(Path(folder), taken)
             views = read_views(Path(folder))

@@ -40,7 +40,7 @@ def main() -> None:
     geometry = geometry_of_unit(vmu)
     try:
         vision = call(NAME, LiveVision, estimator_of_unit(vmu), vmu, middle_row_s(geometry))
-        cameras = sized_cameras(vmu, geometry, clock)
+        cameras, doubt = sized_cameras(vmu, geometry, clock)
     except BadInput as error:
         parent.send(failure=["DeviceError", NAME, str(error)])
         return
@@ -66,7 +66,7 @@ def main() -> None:
             now_s = clock.now_s()
             if now_s - counted_s > HEARTBEAT_S:
                 counted_s = now_s
-                counters = vision.counters() | {"skipped": cameras.skipped}
+                counters = vision.counters() | {"skipped": cameras.skipped, "identity_proven": int(not doubt)}
                 counters["clock_jumps"] += sum(cameras.jumps)
                 block["counters"].write(io_layout.counters_record(counters), now_s)
     except (Exception, SystemExit) as error:

@@ -1,9 +1,11 @@
-"""Chessboards: detection of their corners, and initial values of a calibration from them (OpenCV)."""
+"""Chessboards and ChArUco boards: detection of their corners, and initial values of a calibration (OpenCV)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -24,22 +26,46 @@ from hil.vmu.kernels.chain import (
     TARGET_POSITION,
     TARGET_ROTATION,
 )
+from hil.vmu.prints import CharucoSettings
 
 CORNER_SIGMA_PX = 0.1
 """initial value; the fit estimates the noise of the corners"""
 LEAST_VIEWS = 4
+LEAST_CORNERS: Final = 8
+"""of a board in an image, to be used"""
 _WINDOW = 0.35  # half the side of the window around a corner, relative to the distance to the next one
 _FARTHEST_PX = 0.5
 _UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Board:
-    """columns, rows: inner corners along the longer and the other side. square_m: side of a square."""
+    """columns, rows: inner corners along the longer and the other side. square_m: side of a square.
+
+    marker_m, dictionary: of the markers of a ChArUco board, which may be in part outside of an image.
+    """
 
     columns: int
     rows: int
     square_m: float
+    marker_m: float = 0.0
+    dictionary: str = ""
+
+    @cached_property
+    def _detectors(self) -> tuple[Any, ...]:
+        """OpenCV's detectors of the ways in which a ChArUco board may be printed; none of a chessboard."""
+        if not self.dictionary:
+            return ()
+        chosen = CharucoSettings(
+            dictionary=self.dictionary, columns=self.columns + 1, rows=self.rows + 1, square_m=self.square_m,
+            marker_m=self.marker_m,
+        )  # fmt: skip
+        return tuple(cv2.aruco.CharucoDetector(chosen.layout(way)) for way in chosen.ways)
+
+    @property
+    def is_coded(self) -> bool:
+        """Whether each corner is known by itself."""
+        return bool(self.dictionary)
 
     def points(self) -> Array:
         """Return the corners in the board's axes, (columns rows, 3), m: origin at the middle, x along a row."""
@@ -49,25 +75,56 @@ class Board:
 
 
 def find_corners(image: np.ndarray, board: Board) -> Array | None:
-    """Return the corners, (columns rows, 2), px, or None. The end of the board at which they start is arbitrary."""
+    """Return the corners, (columns rows, 2), px, or None. The end of a chessboard at which they start is arbitrary.
+
+    Corners of a ChArUco board that are not in the image are NaN.
+    """
+    if board.is_coded:
+        return _charuco_corners(image, board)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
     complete, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
     if not complete:
         return None
     # these corners have a common error of up to 0.1 px per view, unlike the saddle points themselves
-    grid = np.asarray(corners).reshape(board.rows, board.columns, 2)
-    apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
-    half = int(np.clip(_WINDOW * apart, 2, 11))
-    refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
-    positions, unrefined = (np.asarray(points, dtype=float).reshape(-1, 2) for points in (refined, corners))
+    return _refined(image, np.asarray(corners, dtype=float).reshape(-1, 2), board)
+
+
+def _charuco_corners(image: np.ndarray, board: Board) -> Array | None:
+    """Return the corners of a ChArUco board, printed whichever way shows more of them; None if they are too few."""
+    best: Array | None = None
+    for detector in board._detectors:
+        corners, ids, _, _ = detector.detectBoard(image)
+        if ids is not None and len(ids) > (LEAST_CORNERS - 1 if best is None else np.isfinite(best[:, 0]).sum()):
+            best = np.full((board.columns * board.rows, 2), np.nan)
+            best[np.asarray(ids).ravel()] = np.asarray(corners, dtype=float).reshape(-1, 2)
+    if best is None:
+        return None
+    grid = np.argwhere(np.isfinite(best[:, 0]).reshape(board.rows, board.columns))
+    if np.ptp(grid, axis=0).min() < 1:  # of one row
+        return None
+    return _refined(image, best, board)
+
+
+def _refined(image: np.ndarray, corners: Array, board: Board) -> Array:
+    """Return the saddle points next to ``corners`` (columns rows, 2), px."""
+    grid = corners.reshape(board.rows, board.columns, 2)
+    apart = float(np.nanmin([np.nanmin(np.linalg.norm(np.diff(grid, axis=k), axis=2)) for k in range(2)]))
+    window = min(_WINDOW, 0.45 * (1.0 - board.marker_m / board.square_m)) if board.is_coded else _WINDOW  # no marker
+    half = int(np.clip(window * apart, 2, 11))
+    seen = np.isfinite(corners[:, 0])
+    start = corners[seen].astype(np.float32).reshape(-1, 1, 2)
+    found = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _UNTIL), float).reshape(-1, 2)
     # a corner that moves far has met the board's edge or a speck
-    return np.where(np.linalg.norm(positions - unrefined, axis=1, keepdims=True) < _FARTHEST_PX, positions, unrefined)
+    near = np.linalg.norm(found - corners[seen], axis=1, keepdims=True) < _FARTHEST_PX
+    refined = corners.copy()
+    refined[seen] = np.where(near, found, corners[seen])
+    return refined
 
 
 def observations(views: Views, board: Board, progress: Callable[[str, float], None]) -> tuple[Observations, Array]:
-    """Return the corners of all views that show the board to both cameras, and the images' sizes (2, 2).
+    """Return the corners of all views that show the board to a camera, and the images' sizes (2, 2).
 
-    Raises BadInput where too few do.
+    Raises BadInput if too few show it to both.
     """
     sizes: Array | None = None
     m = board.columns * board.rows
@@ -81,15 +138,26 @@ def observations(views: Views, board: Board, progress: Callable[[str, float], No
             corners = find_corners(image, board)
             if corners is not None:
                 pixels[k, side] = corners
-        _same_end_first(pixels[k])
-    both = np.isfinite(pixels).all(axis=(1, 2, 3))
-    if sizes is None or both.sum() < LEAST_VIEWS:
-        text = (
-            f"{int(both.sum())} of {len(views.names)} views show a board of {board.columns}x{board.rows} inner corners"
-        )
-        raise BadInput.single("--board", "", f"{text} to both cameras, {LEAST_VIEWS} are needed")
+        if not board.is_coded:
+            _same_end_first(pixels[k])
     covariance = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (*pixels.shape, 2)).copy()
-    return Observations(views.names, views.axes, pixels, covariance).only(np.flatnonzero(both)), sizes
+    observed = Observations(views.names, views.axes, pixels, covariance)
+    both = int((_in_both(observed) >= LEAST_CORNERS).sum())
+    if sizes is None or both < LEAST_VIEWS:
+        text = f"{both} of {len(views.names)} views show a board of {board.columns}x{board.rows} inner corners"
+        raise BadInput.single("--board", "", f"{text} to both cameras, {LEAST_VIEWS} are needed")
+    return observed.only(np.flatnonzero(observed.visible.any(axis=(1, 2)))), sizes
+
+
+def _in_both(observed: Observations) -> np.ndarray:
+    """Return how many corners both cameras show in each view, (n,)."""
+    return np.asarray(observed.visible.all(axis=1).sum(axis=1))
+
+
+def one_sided(observed: Observations) -> dict[str, str]:
+    """Return the views of which one camera alone shows the board, by its name."""
+    shown = np.asarray(observed.visible.any(axis=2))
+    return {name: SIDES[int(sides[1])] for name, sides in zip(observed.names, shown, strict=True) if not sides.all()}
 
 
 def _same_end_first(pixels: Array) -> None:
@@ -105,8 +173,10 @@ def _matrix(numbers: Array) -> Array:
 
 def _intrinsics(observed: Observations, points: Array, side: int, size: Array, guess: Array | None) -> Array:
     """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all parameters)."""
-    objects = [points.astype(np.float32)] * len(observed.names)
-    images = [pixels.astype(np.float32) for pixels in observed.pixels[:, side]]
+    seen = observed.visible[:, side]
+    views = np.flatnonzero(seen.any(axis=1))
+    objects = [points[seen[k]].astype(np.float32) for k in views]
+    images = [observed.pixels[k, side][seen[k]].astype(np.float32) for k in views]
     flags = cv2.CALIB_FIX_K3
     matrix: np.ndarray = np.eye(3)
     lens: np.ndarray = np.zeros(5)
@@ -123,7 +193,9 @@ def _intrinsics(observed: Observations, points: Array, side: int, size: Array, g
 
 
 def board_pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
-    """Return R (3, 3) and t (3,), m, of ``p_camera = R p_board + t`` by the corners in one camera."""
+    """Return R (3, 3) and t (3,), m, of ``p_camera = R p_board + t`` by the corners in one camera, NaN if not seen."""
+    seen = np.isfinite(pixels[:, 0])
+    points, pixels = np.ascontiguousarray(points[seen]), np.ascontiguousarray(pixels[seen])
     _, rotation, position = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
     rotation, position = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], rotation, position)
     return Rotation.from_rotvec(np.asarray(rotation, dtype=float).ravel()).as_matrix(), np.asarray(
@@ -137,7 +209,7 @@ def _stereo(
     """Return rotation vector and baseline of the right camera, and the views with consistent pairs."""
     poses = [
         (k, board_pose(points, observed.pixels[k, 0], left), board_pose(points, observed.pixels[k, 1], right))
-        for k in range(len(observed.names))
+        for k in np.flatnonzero(_in_both(observed) >= LEAST_CORNERS)
     ]
     # all pairs must have the same relative pose: p_v = R p_r + b
     rotations = np.array([a[0] @ b[0].T for _, a, b in poses])
@@ -150,11 +222,15 @@ def _stereo(
         k for k, (a, d) in enumerate(zip(apart[middle], between[middle], strict=True)) if a < angle_far and d < far
     ]
     chosen = [poses[k][0] for k in agree]
-    objects = [points.astype(np.float32)] * len(chosen)
+    common = [observed.visible[k].all(axis=0) for k in chosen]
+    objects = [points[seen].astype(np.float32) for seen in common]
     if len(chosen) < LEAST_VIEWS:
         text = f"left and right image are consistent in {len(chosen)} views, {LEAST_VIEWS} are required"
         raise BadInput.single("VIEWS", "", text)
-    lefts, rights = ([observed.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
+    lefts, rights = (
+        [observed.pixels[k, side][seen].astype(np.float32) for k, seen in zip(chosen, common, strict=True)]
+        for side in range(2)
+    )
     eye, zero = np.eye(3), np.zeros(3)  # initial values, not used with these flags
     shape = (int(size[0]), int(size[1]))
     cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
@@ -172,9 +248,9 @@ def _stereo(
 def start_cameras(
     observed: Observations, nominal: Setup, keep: tuple[str, ...], guess: bool
 ) -> tuple[Array, np.ndarray]:
-    """Return the numbers of both cameras and of their relative pose, and the views with consistent pairs.
+    """Return the numbers of both cameras and of their relative pose, and the views that agree with them.
 
-    keep, guess: as in ``start``.
+    keep, guess: as in ``start``. A view that one camera alone shows agrees.
     """
     theta = nominal.theta[:CAMERA_ROTATION].copy()
     for side, part in enumerate(SIDES):
@@ -185,7 +261,17 @@ def start_cameras(
     rotation, baseline, agree = _stereo(observed, nominal.points, left, right, nominal.sizes[0])
     if "stereo" not in keep:
         theta[ROTATION:BASELINE], theta[BASELINE:] = rotation, baseline
-    return theta, agree
+    alone = np.flatnonzero(_in_both(observed) < LEAST_CORNERS)
+    return theta, np.sort(np.concatenate([agree, alone]))
+
+
+def pose_in_left(observed: Observations, view: int, points: Array, theta: Array) -> tuple[Array, Array]:
+    """Return R and t, m, of ``p_v = R p_board + t`` in a view, by the left camera, or by the right one alone."""
+    if observed.visible[view, 0].any():
+        return board_pose(points, observed.pixels[view, 0], theta[PARTS["left"]])
+    turn, place = board_pose(points, observed.pixels[view, 1], theta[PARTS["right"]])
+    back = Rotation.from_rotvec(theta[ROTATION:BASELINE]).as_matrix()
+    return back @ turn, back @ place + theta[BASELINE:CAMERA_ROTATION]
 
 
 def start(
@@ -198,15 +284,16 @@ def start(
     """
     theta = nominal.theta.copy()
     theta[:CAMERA_ROTATION], agree = start_cameras(observed, nominal, keep, guess)
-    left = theta[PARTS["left"]]
-    poses = [board_pose(nominal.points, observed.pixels[k, 0], left) for k in agree]
+    poses = [pose_in_left(observed, k, nominal.points, theta) for k in agree]
     gimbals = np.array(
         [
             quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(observed.axes[k, 3:]), turntable.order))
             for k in agree
         ]
     )
-    rotations, flipped = _resolve_ends(np.array([pose[0] for pose in poses]), gimbals)
+    rotations, flipped = np.array([pose[0] for pose in poses]), np.zeros(len(poses), dtype=bool)
+    if not board.is_coded:
+        rotations, flipped = _resolve_ends(rotations, gimbals)
     pixels = observed.pixels.copy()
     for k in agree[flipped]:
         pixels[k] = pixels[k, :, ::-1]

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
@@ -44,9 +45,15 @@ class Label:
 
 
 def geometry_table(
-    label: Label, fit: RefinementFit, turntable: TurntableModel, axis_sigma: Array, nominal: VmuGeometry, views: int
+    label: Label,
+    fit: RefinementFit,
+    turntable: TurntableModel,
+    axis_sigma: Array,
+    nominal: VmuGeometry,
+    views: int,
+    identities: Mapping[str, CameraIdentity | None] = {},
 ) -> dict[str, Any]:
-    """Return the keys of the geometry file, including ``[calibration]``."""
+    """Return the keys of the geometry file, including ``[calibration]``. identities: of the cameras of the views."""
     setup = fit.setup
     on_leds = label.target.endswith("leds")
     table: dict[str, Any] = {
@@ -62,6 +69,8 @@ def geometry_table(
         table[name] = camera_of(setup.theta, side, setup.sizes[side])
         if (row_time_s := getattr(nominal, name).row_time_s) is not None:
             table[name]["row_time_s"] = row_time_s
+        if (identity := identities.get(name)) is not None:
+            table[name]["identity"] = identity.model_dump(exclude_none=True)
     if nominal.sensor is not None:
         table["sensor"] = nominal.sensor.model_dump()
     if nominal.tolerances != EXACT:

@@ -6,7 +6,6 @@ as the position of a bench whose encoders are as good as unknown. Mounting and t
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -18,8 +17,9 @@ from hil.errors import BadInput
 from hil.maths import euler, quat
 from hil.vmu.calibration import board as boards
 from hil.vmu.calibration import quality
+from hil.vmu.calibration import views as views_files
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
+from hil.vmu.calibration.model import Observations, Setup, TurntableModel
 from hil.vmu.calibration.refine import Prior, RefinementFit, RefinementProblem, weak_prior
 from hil.vmu.calibration.solve import CalibrationSolution
 from hil.vmu.calibration.views import Views
@@ -32,7 +32,6 @@ LEAST_VIEWS: Final = 8
 _FAR: Final = 3.0  # times the median residual of a view
 _FEW: Final = 15
 _TILTED_RAD: Final = np.radians(15.0)
-_IMAGE: Final = re.compile(r"\.(png|bmp|tif|tiff|pgm|jpg|jpeg)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +51,13 @@ class Halves:
 
 
 def read_pairs(folder: Path) -> Views:
-    """Return the pairs ``left/NAME`` and ``right/NAME`` of ``folder``; raise BadInput if there are too few."""
-    sides = [{path.name: path for path in sorted((folder / side).glob("*")) if _IMAGE.search(path.name)}
-             for side in ("left", "right")]  # fmt: skip
-    names = sorted(sides[0].keys() & sides[1].keys())
-    if len(names) < LEAST_VIEWS:
-        text = f"{len(names)} pairs left/NAME.png, right/NAME.png, {LEAST_VIEWS} are needed"
-        raise BadInput.single(str(folder), "", text)
-    return Views(tuple(names), np.zeros((len(names), 6)), tuple((sides[0][name], sides[1][name]) for name in names))
+    """Return the pairs of images in ``folder``; raise BadInput if there are too few."""
+    views = views_files.read_pairs(folder)
+    if len(views.names) < LEAST_VIEWS:
+        text = f"{len(views.names)} pairs left/NAME.png, right/NAME.png, {LEAST_VIEWS} are needed"
+        first = next(iter(views.unused.items()), None)
+        raise BadInput.single(str(folder), "", text if first is None else f"{text} ({first[0]} {first[1]})")
+    return views
 
 
 def solve(
@@ -112,7 +110,7 @@ def _start(
     theta[:CAMERA_ROTATION] = cameras
     axes = np.zeros((len(observed.names), 6))
     for k in agree:
-        turn, position = boards.board_pose(board.points(), observed.pixels[k, 0], theta[PARTS["left"]])
+        turn, position = boards.pose_in_left(observed, k, board.points(), theta)
         axes[k] = bench_at(turn, position)
     return begun, axes, agree
 
@@ -138,8 +136,8 @@ def halves(solution: CalibrationSolution, held: Prior, range_m: float) -> Halves
     change = fits[0].setup.theta - fits[1].setup.theta
     change[SCALE] = 0.0  # the board's, in both
     both = fits[0].covariance + fits[1].covariance
-    across, depth = quality.displacement(setup, change, range_m)
-    expected = quality.at_range(setup, quality.without_scale(both), 0.0, range_m)
+    across, depth = quality.displacement(setup, change, range_m, by_hand=True)
+    expected = quality.at_range(setup, quality.without_scale(both), 0.0, range_m, by_hand=True)
     if expected is None:
         return None
     return Halves(across, depth, expected.calibration_across_mm, expected.calibration_depth_mm, range_m)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,12 +20,15 @@ from hil.vmu.calibration.model import PARTS, SIDES, Observations, Setup, Turntab
 from hil.vmu.calibration.refine import Prior, weak_prior
 from hil.vmu.calibration.solve import CalibrationSolution, robust_fit, solve, solve_leds
 from hil.vmu.calibration.views import Views
-from hil.vmu.kernels.chain import COMMON, SCALE
+from hil.vmu.kernels.chain import BASELINE, CAMERA_ROTATION, COMMON, SCALE
 
 Progress = Callable[[str, float], None]
 
 _WIDE_GATE_PX = 12.0
 _HALVES_SIGMAS = 3.0
+_REMEDY = "take more views: near and far, tilted, at the edges of both images"
+_ERROR_MM = 2.0
+_BASELINES = (0.8, 1.25)  # to that of the initial values
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,30 +44,42 @@ class CalibrationInputs:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationLimits:
-    """Limits that a calibration must satisfy."""
+    """Limits that a calibration must satisfy. error_mm: None: 2, or the depth of ``rms_px`` of disparity if larger."""
 
     rms_px: float
-    error_mm: float
+    error_mm: float | None
     range_m: float
     mounting_mm: float
     mounting_deg: float
     square_percent: float
     spot_px: float = 0.5
 
+    def position_mm(self, setup: Setup) -> float:
+        """Return the limit of a point's position with the cameras of ``setup``."""
+        if self.error_mm is not None:
+            return self.error_mm
+        baseline_m = float(np.linalg.norm(setup.theta[BASELINE:CAMERA_ROTATION]))
+        return max(_ERROR_MM, 1e3 * self.rms_px * self.range_m**2 / (float(setup.theta[0]) * baseline_m))
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrationCheck:
-    """One line of the verdict. needed: the vision unit cannot use a calibration that fails it."""
+    """One line of the verdict. needed: the vision unit cannot use a calibration that fails it. cause: largest part."""
 
     name: str
     value: float
     limit: float
     unit: str
     needed: bool = False
+    cause: str = ""
 
     @property
     def passed(self) -> bool:
         return self.value <= self.limit
+
+    def __str__(self) -> str:
+        cause = f", mostly by {self.cause}" if self.cause else ""
+        return f"{self.name} {self.value:.4g} {self.unit}, allowed {self.limit:.3g} {self.unit}{cause}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +111,8 @@ class CalibrationOutcome:
         """Raise BadInput if the vision unit cannot use the calibration of ``views``."""
         failed = [check for check in self.checks if check.needed and not check.passed]
         if failed:
-            exceeded = ", ".join(f"{c.name} {c.value:.3g} {c.unit}, allowed {c.limit:g} {c.unit}" for c in failed)
-            text = f"{exceeded}: the vision unit cannot use this calibration, no geometry file is written"
+            exceeded = ", ".join(map(str, failed))
+            text = f"{exceeded}: the vision unit cannot use this calibration, no geometry file is written; {_REMEDY}"
             raise BadInput.single(views, "", text)
 
 
@@ -137,12 +151,12 @@ def calibrate(
         begun, resolved, doubtful = boards.start(observed, given.board, nominal, turntable, given.keep, guess)
         held = weak_prior(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(resolved, begun, turntable, held, doubtful)
-        solved.left_out.update(_not_whole(views, observed))
+        solved.left_out.update(_not_used(views, observed, given.board))
     return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
 
 
 def calibrate_hand_held(
-    folder: Path,
+    views: Views,
     rig: Rig,
     geometry: VmuGeometry,
     given: CalibrationInputs,
@@ -158,10 +172,9 @@ def calibrate_hand_held(
     """
     if given.board is None:
         ring = hand_held.at_origin(Setup.of(geometry, rig.bench), np.array(geometry.leds_m))
-        solved, held = led_layout.solve(hand_held.read_pairs(folder), geometry, ring, given.led_sigma, progress)
+        solved, held = led_layout.solve(views, geometry, ring, given.led_sigma, progress)
         outcome = _outcome(label, solved, hand_held.TURNTABLE, held, ring, limits, False)
         return replace(outcome, warnings=hand_held.warnings_of(solved, [1.0, 1.0]), checks=outcome.checks[:1])
-    views = hand_held.read_pairs(folder)
     observed, sizes = boards.observations(views, given.board, progress)
     nominal = Setup.of(geometry, rig.bench, given.board.points())
     if guess and (sizes != nominal.sizes).any():
@@ -169,7 +182,7 @@ def calibrate_hand_held(
     nominal = replace(nominal, sizes=sizes)
     progress("fitting", 0.9)
     solved, held = hand_held.solve(observed, given.board, nominal, given.keep, given.square_sigma, guess)
-    solved.left_out.update(_not_whole(views, observed))
+    solved.left_out.update(_not_used(views, observed, given.board))
     outcome = _outcome(label, solved, hand_held.TURNTABLE, held, nominal, limits, False)
     halves = hand_held.halves(solved, held, limits.range_m)
     checks = list(outcome.checks)
@@ -177,13 +190,24 @@ def calibrate_hand_held(
         checks.append(
             CalibrationCheck("difference of two halves of the views", halves.in_sigmas, _HALVES_SIGMAS, "sigma")
         )
-    return replace(outcome, warnings=hand_held.warnings_of(solved, outcome.shares), halves=halves, checks=checks)
+    warnings = hand_held.warnings_of(solved, outcome.shares) + quality.exchange_warnings(solved.fit.setup, held)
+    warnings += _baseline_warnings(solved.fit.setup, nominal) if guess else []
+    return replace(outcome, warnings=warnings, halves=halves, checks=checks)
 
 
-def _not_whole(views: Views, observed: Observations) -> dict[str, str]:
-    """Return the views that do not show the board to both cameras, with the reason."""
+def _baseline_warnings(setup: Setup, nominal: Setup) -> list[str]:
+    """Return a sentence if the baseline is not as long as that of the initial values: a board of another size."""
+    now, before = (float(np.linalg.norm(each.theta[BASELINE:CAMERA_ROTATION])) for each in (setup, nominal))
+    if _BASELINES[0] < now / before < _BASELINES[1]:
+        return []
+    return [f"the baseline is {1e3 * now:.0f} mm long, {1e3 * before:.0f} mm in --geometry: is --square-mm right?"]
+
+
+def _not_used(views: Views, observed: Observations, board: Board) -> dict[str, str]:
+    """Return the views that show the board to neither camera, and the images of no view, with the reason."""
     names = (name for name in views.names if name not in observed.names)
-    return dict.fromkeys(names, "the board is not completely visible to both cameras")
+    least = f"fewer than {boards.LEAST_CORNERS} corners are" if board.is_coded else "the board is not completely"
+    return {**dict.fromkeys(names, f"{least} visible to a camera"), **views.unused}
 
 
 def _sizes_differ(actual: Array, expected: Array) -> str:
@@ -205,23 +229,29 @@ def _outcome(
     rigid: bool,
 ) -> CalibrationOutcome:
     fit, observed = solved.fit, solved.observations
-    sigma = quality.sigma_px(fit, observed)
+    sigma, hand = quality.sigma_px(fit, observed), label.target.startswith(HAND_HELD)
     at_ranges = [
         accuracy
         for range_m in sorted({*quality.RANGES_M, limits.range_m})
-        if (accuracy := quality.at_range(fit.setup, fit.covariance, sigma, range_m)) is not None
+        if (accuracy := quality.at_range(fit.setup, fit.covariance, sigma, range_m, hand)) is not None
     ]
-    by_hand = label.target.startswith(HAND_HELD) and bool(held.free[SCALE])
-    covariance = quality.without_scale(fit.covariance) if by_hand else fit.covariance
-    here = quality.at_range(fit.setup, covariance, sigma, limits.range_m)
+    is_sized = hand and bool(held.free[SCALE])
+    covariance = quality.without_scale(fit.covariance) if is_sized else fit.covariance
+    here = quality.at_range(fit.setup, covariance, sigma, limits.range_m, hand)
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
-    known = ", for a known size of the board" if by_hand else ""
+    known = ", for a known size of the board" if is_sized else ""
     checks = [
         CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px", needed=True),
-        CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma{known}", error, limits.error_mm, "mm"),
+        CalibrationCheck(
+            f"position of a point at {limits.range_m:g} m, 1 sigma{known}",
+            error,
+            limits.position_mm(fit.setup),
+            "mm",
+            cause=quality.dominant(fit.setup, covariance, limits.range_m, hand),
+        ),
         CalibrationCheck(
             f"spot of an LED at {limits.range_m:g} m by the calibration, 1 sigma",
-            quality.spot_error_px(fit.setup, fit.covariance, limits.range_m),
+            quality.spot_error_px(fit.setup, fit.covariance, limits.range_m, hand),
             limits.spot_px,
             "px",
             needed=True,

@@ -78,7 +78,7 @@ def _observations(
         unit.track.drop()
         solution = unit.solve(*read_pair(views, k, sizes), 0.0)
         if solution.pose is None:
-            left_out[name] = f"no pose: {solution.status}"
+            left_out[name] = f"no pose: {solution.status}{'' if solution.doubt is None else f', {solution.doubt}'}"
             continue
         for side, (spots, leds) in enumerate(zip(solution.spots, solution.leds, strict=True)):
             points, usable = measured(spots)

@@ -44,18 +44,34 @@ def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
     return slopes.pixels.ravel(), slopes.by_common.reshape(4, COMMON), slopes.by_point.reshape(4, 3)
 
 
-def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
+def field(setup: Setup, range_m: float, by_hand: bool = False) -> list[tuple[Array, Array]]:
     """Return the derivatives of a triangulated position by pixels and parameters, over the common field at ``range_m``.
 
     Each (3, 4), m/px, and (3, COMMON): the position that is triangulated from the same pixels with other parameters.
+    by_hand: without the rotation of all positions alike, as the calibration alone defines the cameras' axes.
     """
-    sensitivities: list[tuple[Array, Array]] = []
+    return [(inverse, gain) for inverse, gain, _ in _sensitivities(setup, range_m, by_hand)]
+
+
+def _sensitivities(setup: Setup, range_m: float, by_hand: bool) -> list[tuple[Array, Array, Array]]:
+    """Return what ``field`` does, and the pixels of each point by the parameters, (4, COMMON)."""
+    rows, turns = [], []
     for p_v in _field_points(setup, range_m):
         pixels, by_numbers, by_place = _both_cameras(setup, p_v)
         if _in_both(pixels, setup):
             inverse: Array = np.linalg.pinv(by_place).astype(float)
-            sensitivities.append((inverse, -inverse @ by_numbers))
-    return sensitivities
+            rows.append((inverse, -inverse @ by_numbers, by_numbers, by_place))
+            turns.append(-np.cross(np.eye(3), p_v))  # of e x p, by e: transposed
+    if not rows or not by_hand:
+        return [row[:3] for row in rows]
+    by_turn = np.array(turns).transpose(0, 2, 1)
+    gains = np.array([row[1] for row in rows])
+    turn = np.linalg.lstsq(by_turn.reshape(-1, 3), gains.reshape(-1, COMMON), rcond=None)[0]
+    common = by_turn @ turn
+    return [
+        (inverse, gain - moved, by_numbers + by_place @ moved)
+        for (inverse, gain, by_numbers, by_place), moved in zip(rows, common, strict=True)
+    ]
 
 
 def _field_points(setup: Setup, range_m: float) -> Iterator[Array]:
@@ -73,9 +89,14 @@ def _in_both(pixels: Array, setup: Setup) -> bool:
     return bool(np.isfinite(both).all() and ((both > 0.0) & (both < setup.sizes - 1.0)).all())
 
 
-def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> RangeAccuracy | None:
-    """Return the accuracy of a point at ``range_m``; None if the cameras have no common field there."""
-    positions = field(setup, range_m)
+def at_range(
+    setup: Setup, covariance: Array, sigma_px: float, range_m: float, by_hand: bool = False
+) -> RangeAccuracy | None:
+    """Return the accuracy of a point at ``range_m``; None if the cameras have no common field there.
+
+    by_hand: as in ``field``.
+    """
+    positions = field(setup, range_m, by_hand)
     if not positions:
         return None
     cameras = covariance[_CAMERAS, _CAMERAS]
@@ -83,6 +104,17 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
     numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in positions], axis=0)
     spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
     return RangeAccuracy(range_m, *spread)
+
+
+def dominant(setup: Setup, covariance: Array, range_m: float, by_hand: bool) -> str:
+    """Return the parameter whose uncertainty adds most to that of a point's position at ``range_m``, "" for none."""
+    cameras = covariance[_CAMERAS, _CAMERAS]
+    variance = np.diagonal(cameras)
+    gains = [gain[:, _CAMERAS] @ cameras for _, gain in field(setup, range_m, by_hand)]
+    if not gains or not variance.any():
+        return ""
+    lessened = np.sum(np.square(gains), axis=(0, 1)) / np.where(variance > 0.0, variance, np.inf)
+    return parameters()[int(np.argmax(lessened))].name
 
 
 def without_scale(covariance: Array) -> Array:
@@ -94,27 +126,27 @@ def without_scale(covariance: Array) -> Array:
     return reduced
 
 
-def spot_error_px(setup: Setup, covariance: Array, range_m: float) -> float:
+def spot_error_px(setup: Setup, covariance: Array, range_m: float, by_hand: bool = False) -> float:
     """Return the standard deviation of a point's pixel, px, by the calibration of its camera; the worse camera's.
 
-    RMS over the field at ``range_m`` of what the vision unit has to allow for; inf without a common field.
+    RMS over the field at ``range_m`` of what the vision unit has to allow for; inf without a common field. by_hand: as
+    in ``field``.
     """
     cameras = covariance[_CAMERAS, _CAMERAS]
-    variances = []
-    for p_v in _field_points(setup, range_m):
-        pixels, by_numbers, _ = _both_cameras(setup, p_v)
-        if _in_both(pixels, setup):
-            variances.append(np.diagonal(by_numbers[:, _CAMERAS] @ cameras @ by_numbers[:, _CAMERAS].T))
+    variances = [
+        np.diagonal(pixels[:, _CAMERAS] @ cameras @ pixels[:, _CAMERAS].T)
+        for _, _, pixels in _sensitivities(setup, range_m, by_hand)
+    ]
     return float(np.sqrt(np.mean(variances, axis=0).max())) if variances else float("inf")
 
 
-def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
+def displacement(setup: Setup, change: Array, range_m: float, by_hand: bool = False) -> tuple[float, float]:
     """Return the displacement of a point at ``range_m``, across and in depth, mm RMS over the field.
 
     change: (COMMON,), of cameras, mounting and the target's position from their values. The position is that in the
-    chaser's axes as measured by the left camera.
+    chaser's axes as measured by the left camera. by_hand: as in ``field``.
     """
-    moves = np.array([g[:, _PLACED] @ change[_PLACED] for _, g in field(setup, range_m)]).reshape(-1, 3)
+    moves = np.array([g[:, _PLACED] @ change[_PLACED] for _, g in field(setup, range_m, by_hand)]).reshape(-1, 3)
     if not len(moves):
         return 0.0, 0.0
     square = np.mean(moves**2, axis=0)
@@ -142,6 +174,16 @@ def coverage_warnings(shares: list[float]) -> list[str]:
     ]
 
 
+def exchange_warnings(setup: Setup, held: Prior) -> list[str]:
+    """Return a sentence if the right camera is to the left of the left one, as with exchanged images."""
+    baseline = setup.theta[PARTS["stereo"]][3:]
+    if not held.free[PARTS["stereo"]].any() or baseline[0] > -0.5 * float(np.linalg.norm(baseline)):
+        return []
+    return [
+        f"baseline x is {1e3 * baseline[0]:+.0f} mm, the right camera is to the left of the left one: images exchanged?"
+    ]
+
+
 def sigma_px(fit: RefinementFit, observed: Observations) -> float:
     """Return the standard deviation of one coordinate of a spot or corner, px, as estimated by the fit."""
     variances = np.einsum("...ii->...", observed.covariance)[observed.visible] / 2.0
@@ -156,6 +198,7 @@ def warnings_of(fit: RefinementFit, observed: Observations, held: Prior, shares:
     warnings += coverage_warnings(
         [s if held.free[PARTS[side]].any() else 1.0 for side, s in zip(SIDES, shares, strict=True)]
     )
+    warnings += exchange_warnings(fit.setup, held)
     rails, gimbals = np.ptp(observed.axes[:, :3], axis=0), np.degrees(np.ptp(observed.axes[:, 3:], axis=0))
     turned = int((gimbals >= 8.0).sum())
     if held.free[PARTS["mounting"]].any() and turned < 2:
@@ -167,7 +210,11 @@ def warnings_of(fit: RefinementFit, observed: Observations, held: Prior, shares:
         warnings.append(f"little change of range: x moved by {1e3 * rails[0]:.0f} mm")
     prior_sigma = np.where(held.free, held.sigma, np.inf)
     names = parameters()[:SCALE]
-    open_ = [p.name for p, s, b in zip(names, fit.sigma, prior_sigma, strict=False) if np.isfinite(b) and s > 0.3 * b]
+    open_ = [
+        p.name
+        for p, s, b in zip(names, fit.sigma, prior_sigma, strict=False)
+        if np.isfinite(b) and s > 0.3 * b and not p.name.endswith(".k3")  # whose prior is that of lenses
+    ]
     if open_:
         warnings.append(f"not determined by these views: {', '.join(open_)}")
     if len(fit.sigma) > COMMON and fit.sigma[COMMON:].max() > 0.5 * held.layout_sigma:

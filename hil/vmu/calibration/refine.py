@@ -16,6 +16,7 @@ from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 _STEPS = 60
+_THIRD, _LEAST_K1 = 0.25, 0.1  # distortion of lenses by k3 at the corner of the image, relative to that by k1
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +42,11 @@ def weak_prior(
     keep: PARTS to be kept fixed. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
     """
     sigma = np.empty(COMMON)
-    for part in ("left", "right"):
-        focal = setup.theta[PARTS[part]][0]
-        sigma[PARTS[part]] = (0.2 * focal, 0.2 * focal, 100.0, 100.0, 1.0, 2.0, 0.05, 0.05, 3.0)
+    for part, size in zip(("left", "right"), setup.sizes, strict=True):
+        focal, k1 = setup.theta[PARTS[part]][0], setup.theta[PARTS[part]][4]
+        corner = 0.5 * float(np.hypot(*size)) / focal
+        k3 = min(3.0, _THIRD * max(abs(k1), _LEAST_K1) / corner**4)
+        sigma[PARTS[part]] = (0.2 * focal, 0.2 * focal, 100.0, 100.0, 1.0, 2.0, 0.05, 0.05, k3)
     sigma[PARTS["stereo"]] = (0.2, 0.2, 0.2, 0.1, 0.1, 0.1)
     sigma[PARTS["mounting"]] = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
     sigma[PARTS["target"]] = (1.0, 1.0, 1.0, 20.0, 20.0, 20.0)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
+from hil.vmu.calibration.board import one_sided
 from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
 from hil.vmu.calibration.quality import RangeAccuracy
@@ -59,7 +60,14 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
         "target": outcome.label.target,
         "passed": outcome.passed,
         "checks": [
-            {"name": c.name, "value": _finite(c.value), "limit": c.limit, "unit": c.unit, "passed": c.passed}
+            {
+                "name": c.name,
+                "value": _finite(c.value),
+                "limit": c.limit,
+                "unit": c.unit,
+                "passed": c.passed,
+                "cause": c.cause,
+            }
             for c in outcome.checks
         ],
         "rms_px": fit.rms_px,
@@ -80,6 +88,7 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
             )
         },
         "left_out": dict(solved.left_out),
+        "one_camera": one_sided(observed),
         "spots_left_out": solved.spots_left_out,
         "parameters": {
             p.name: {"value": value, "sigma": sigma, "on_paper": paper, "unit": p.unit}

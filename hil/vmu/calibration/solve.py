@@ -77,7 +77,11 @@ def solve_leds(
 ) -> CalibrationSolution:
     """Return the calibration from spots, identified first by the nominal setup and then by the fit."""
     progress("identifying the LEDs", 0.0)
-    observed = _enough(identify(views, setup, turntable))
+    observed = identify(views, setup, turntable)
+    if _good(observed).sum() < LEAST_VIEWS and _good(identify(views, _opposite(setup), turntable)).sum() >= LEAST_VIEWS:
+        text = "would fit with the opposite baseline: images exchanged, or the sign of baseline_m"
+        raise BadInput.single("VIEWS", "", text)
+    observed = _enough(observed)
     # the nominal mounting has the largest error: estimate only the mounting first
     mounting = replace(held, free=_only(held.free, "mounting"), layout_sigma=0.0)
     rough = robust_fit(observed, setup, turntable, mounting)
@@ -98,13 +102,24 @@ def solve_leds(
 
 def _enough(observed: Observations) -> Observations:
     """Return the views in which one camera identified at least three LEDs."""
-    good = np.flatnonzero(observed.visible.sum(axis=2).max(axis=1) >= 3)
+    good = np.flatnonzero(_good(observed))
     if len(good) < LEAST_VIEWS:
         text = (
             f"{len(good)} of {len(observed.names)} views show 3 LEDs near the positions given by rig and geometry file"
         )
         raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are required")
     return observed.only(good)
+
+
+def _good(observed: Observations) -> np.ndarray:
+    return np.asarray(observed.visible.sum(axis=2).max(axis=1) >= 3)
+
+
+def _opposite(setup: Setup) -> Setup:
+    """Return ``setup`` with the right camera on the other side of the left one."""
+    theta = setup.theta.copy()
+    theta[PARTS["stereo"]] *= -1.0
+    return replace(setup, theta=theta)
 
 
 def _only(free: Array, part: str) -> np.ndarray:

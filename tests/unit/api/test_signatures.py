@@ -6,8 +6,10 @@ import inspect
 from dataclasses import fields
 from typing import get_type_hints
 
+import hil
 from hil.api.runs import RunArguments, run
 from hil.cli.run import StoredCaseOptions
+from hil.parts.campaigns.api.campaign_request import CampaignRequest
 from hil.parts.campaigns.api.campaigns import SharedArguments, StudyArguments, campaign, rare_event, sobol_indices
 from hil.parts.campaigns.cli.campaign import CaseOptions, EngineOptions, StudyOptions, VariationOptions
 
@@ -44,3 +46,11 @@ def test_signatures_show_every_option() -> None:
     assert {"case", "campaign", "dispersions", "navigation", "control"} <= {*inspect.signature(run).parameters}
     assert {"scheduler", "against", "rare", "sobol"} <= {*inspect.signature(campaign).parameters}
     assert not any(each.kind is each.VAR_KEYWORD for each in inspect.signature(run).parameters.values())
+
+
+def test_signatures_show_the_defaults_of_the_options_that_the_request_has() -> None:
+    request = {field.name: field.default for field in fields(CampaignRequest)}
+    for name, parameter in inspect.signature(campaign).parameters.items():
+        if name in request and name not in ("scenario", "out"):
+            assert parameter.default == request[name] or parameter.default is None, name
+    assert inspect.signature(hil.sweep).parameters["workers"].default == 0

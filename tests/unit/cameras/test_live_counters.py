@@ -25,4 +25,4 @@ def test_every_counter_is_declared() -> None:
         live.put(side, TimedFrame(1.0, 1.01, 1, np.zeros((1, 1), np.uint8)))
     assert list(live.poses(cast(Clock, SimpleNamespace(now_s=lambda: 1.02)))) == []
     live.sent(1.03)
-    assert {*live.counters(), "skipped"} == set(CAMERA_COUNTERS)
+    assert {*live.counters(), "skipped", "identity_proven"} == set(CAMERA_COUNTERS)

@@ -6,9 +6,13 @@ import math
 
 import pytest
 
-from hil.checks.ephemeris import check_length, ephemeris_limit, ephemeris_warnings
+import hil
+from hil.checks import ephemeris
+from hil.checks.ephemeris import EphemerisLimit, check_length, ephemeris_limit, ephemeris_warnings
 from hil.checks.truth import check_truth
 from hil.config.load import load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.loop.compiled.run_stats import SETTLED
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.report.verdict_parts import navigation_means
@@ -86,3 +90,24 @@ def test_run_that_is_longer_than_the_ephemeris_is_refused() -> None:
     assert check_length(perturbed, 90_000.0) == []
     (problem,) = check_length(perturbed, 110_000.0)
     assert problem.message == "8: the ephemeris reaches to 99718 s, the run to 110000 s, allowed 0"
+
+
+def test_limit_is_computed_once_for_a_complete_run_and_again_for_one_that_broke_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lengths_s: list[float] = []
+
+    def counted(scenario: Scenario, rig: Rig, length_s: float, seed: int | None) -> EphemerisLimit | None:
+        lengths_s.append(length_s)
+        return ephemeris_limit(scenario, rig, length_s, seed)
+
+    monkeypatch.setattr(ephemeris, "ephemeris_limit", counted)
+    hil.run("leo-vbar", duration_s=1.0)
+    assert lengths_s == [1.0]
+    lengths_s.clear()
+    broken = hil.run(
+        "leo-vbar", duration_s=1.0, faults=[{"device": "rails.x", "kind": "offset", "value": 1.0, "at_s": 0.5}]
+    )
+    assert broken.stop != "completed"
+    assert lengths_s[0] == 1.0
+    assert lengths_s[1] < 1.0

@@ -7,11 +7,17 @@ import pytest
 
 from hil.checks import target_motion
 from hil.checks.target_motion import THRUST_FRACTION, check_target_motion, plan_accelerations, planned, tumble_over
+from hil.checks.truth import check_truth
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
 from hil.params import gnc as gnc_params
 from hil.parts.campaigns.dispersions import Design
 from tests.support.plain_filters import PLAIN
+
+SLOW = tuple(
+    f"gnc.{key}=0.004"
+    for key in ("guidance.deceleration_mps2", "guidance.acceleration_mps2", "abort.acceleration_mps2")
+)
 
 
 @pytest.mark.parametrize("name", ["tumbling-1", "tumbling-3", "tumbling-5"])
@@ -54,6 +60,24 @@ def test_target_that_tumbles_too_fast_is_rejected_in_one_line(
     (problem,) = check_target_motion(load_scenario("tumbling-3", settings), load_rig("mock"))
     assert "target.rate_degps: [" in str(problem)
     assert all(word in str(problem) for word in words)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ((), "; for a target at rest 80 %, by gnc.guidance.deceleration_mps2"),
+        (SLOW[:2], "; for a target at rest 60 %, by gnc.abort.acceleration_mps2"),
+        (SLOW, ""),
+    ],
+)
+def test_plan_that_takes_too_much_without_the_rotation_is_named_by_its_key(
+    settings: tuple[str, ...], words: str
+) -> None:
+    flat = ("target.motion=tumble", "target.rate_degps=[0.0, 0.1, 0.0]", "truth.relative_motion=nonlinear")
+    scenario = load_scenario("planar", (*flat, *settings))
+    assert check_truth(scenario) == []
+    problems = check_target_motion(scenario, load_rig("mock-planar"))
+    assert [str(each).endswith(words) for each in problems] == ([True] if words else [])
 
 
 @pytest.mark.parametrize(

@@ -95,3 +95,22 @@ def test_kernels_that_need_opencv_are_left_out_where_it_is_missing(
     assert "monitor      left out: needs OpenCV: pip install 'hil-bench[vision]'" in capsys.readouterr().out
     assert execute(["warm-up", "vmu"]) == 2
     assert capsys.readouterr().err == "warm-up: vmu: needs OpenCV: pip install 'hil-bench[vision]'\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("run scheme-1 extra more", "extra more: more than hil run takes, see hil run --help"),
+        ("run scheme-1 --seed abc", "--seed: abc: must be an integer"),
+        ("run scheme-1 --speed fast", "--speed: fast: must be a number"),
+        ("run scheme-1 --lock-step=7", "--lock-step: 7: must be true or false"),
+        ("run scheme-1 --seed 1 --seed 2", "--seed: given more than once"),
+        ("run scheme-1 --seed", "--seed: needs a value"),
+        ("geometry plan", "hil geometry plan: needs --out, see hil geometry plan --help"),
+    ],
+)
+def test_line_that_cannot_be_parsed_is_answered_with_option_value_and_what_is_allowed(
+    line: str, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert execute(line.split()) == 2
+    assert capsys.readouterr().err == f"{text}\n"

@@ -75,7 +75,7 @@ def test_keys_have_unit_range_default_and_meaning(capsys: pytest.CaptureFixture[
 def test_every_key_is_listed_once_under_the_name_that_set_takes() -> None:
     names = [key.name for key in all_keys()]
     assert len(names) == len(set(names))
-    assert {"gnc.control.deadband_m", "rig.vmu.timeout_s", "rig.host.time"} <= set(names)
+    assert {"gnc.control.deadband_m", "rig.vmu.timeout_s", "rig.vmu.udp.port", "rig.host.time"} <= set(names)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
+from hil.config.rig import check_ids
 from hil.config.tables import driver_registry
 from hil.config.tables.driver_registry import DriverEntry, check_axes
 from hil.core.messages import AxisFeedback, Homing
@@ -117,3 +118,13 @@ def test_feedback_of_any_number_of_axes_has_defaults(n: int) -> None:
     feedback = AxisFeedback(0.0, np.zeros(n), np.zeros(n))
     assert feedback.homing == (Homing.DONE,) * n
     assert feedback.limit == (0,) * n
+
+
+def test_ids_of_drives_are_one_for_each_axis_that_is_driven_or_that_could_be() -> None:
+    table = load_rig("emulated").value.turntable.model_copy(update={"roll": None, "pitch": None})
+    assert table.axis_names == ("yaw",)
+    for ids in ((5,), (4, 6, 5)):
+        check_ids("node_ids", ids, table)
+        assert table.ids_of(ids) == (5,)
+    with pytest.raises(ValueError, match=r"has none for yaw, allowed: one for each of roll, pitch, yaw, or of yaw$"):
+        check_ids("node_ids", (1, 2), table)

@@ -16,6 +16,7 @@ from numba import typeof
 import hil
 from hil.core import jit
 from hil.core.jit import kernel
+from tests.support.forks import forked
 
 PACKAGE = Path(hil.__file__).parent
 
@@ -35,14 +36,13 @@ def copy(tmp_path: Path) -> Path:
 
 def run_with_cache(code: str, folder: Path, checkout: Path) -> subprocess.CompletedProcess[str]:
     """Run ``code`` against the package in ``checkout`` with its kernels cached in ``folder``."""
-    return run_in(checkout, code, os.environ | {"HIL_CACHE_DIR": str(folder)})
+    return forked(code, checkout, loaded="numba", HIL_CACHE_DIR=str(folder))
 
 
-def run_in(checkout: Path, code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run ``code`` against the package in ``checkout``."""
-    environment = environment | {"PYTHONPATH": str(checkout)}
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, env=environment, cwd=checkout, capture_output=True, text=True, check=False)
+def run_fresh(code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` in a process that has imported nothing before."""
+    command, folder = [sys.executable, "-c", code], PACKAGE.parent
+    return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, check=False)
 
 
 def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_path: Path) -> None:
@@ -137,9 +137,8 @@ def test_folder_of_another_user_is_refused(tmp_path: Path) -> None:
 
 def refusal_of_a_run(cache: Path) -> str:
     """Return the one line with which a run refuses the kernels in ``cache``."""
-    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--duration", "1"]
-    environment = os.environ | {"HIL_CACHE_DIR": str(cache)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    run = "from hil.cli.main import main; main(['run', 'scheme-1', '--duration', '1'])"
+    done = run_with_cache(run, cache, PACKAGE.parent)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     return line
@@ -186,21 +185,21 @@ def test_import_writes_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "cache").exists()
 
 
-def test_kernels_in_a_wheel_are_used_where_they_are(copy: Path, tmp_path: Path) -> None:
+def test_kernels_in_a_wheel_are_used_where_they_are(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run_with_cache(CALL_ONE_KERNEL, copy, copy.parent)
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    environment.pop("HIL_CACHE_DIR", None)
-    done = run_in(copy.parent, CALL_ONE_KERNEL, environment)
+    monkeypatch.delenv("HIL_CACHE_DIR", raising=False)
+    done = forked(CALL_ONE_KERNEL, copy.parent, loaded="numba", XDG_CACHE_HOME=str(tmp_path / "cache"))
     assert done.stdout == "1\n", done.stderr
     assert not (tmp_path / "cache").exists()
 
 
-def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path) -> None:
     names = "from hil.session.compiled import mark_kernels_cached as mark, kernels_are_cached as cached"
-    with monkeypatch.context() as other:
-        other.setenv("NUMBA_CPU_NAME", "generic")
-        done = run_with_cache(f"{names}; mark('cycle'); print(cached('cycle'))", tmp_path, PACKAGE.parent)
-        assert done.stdout == "True\n"
+    other = os.environ | {"NUMBA_CPU_NAME": "generic", "HIL_CACHE_DIR": str(tmp_path)}
+    done = run_fresh(f"{names}; mark('cycle'); print(cached('cycle'))", other)
+    assert done.stdout == "True\n"
     assert run_with_cache(f"{names}; print(cached('cycle'))", tmp_path, PACKAGE.parent).stdout == "False\n"
 
 
@@ -213,7 +212,7 @@ import hil.core.jit
 codegen = registry.cpu_target.target_context.codegen()
 print(codegen.magic_tuple()[1:] == (config.CPU_NAME, config.CPU_FEATURES))
 """
-    assert run_in(PACKAGE.parent, code, dict(os.environ)).stdout == "True\n"
+    assert run_fresh(code, dict(os.environ)).stdout == "True\n"
 
 
 def test_cache_that_cannot_be_written_is_one_clear_line() -> None:

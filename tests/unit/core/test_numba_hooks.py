@@ -10,11 +10,13 @@ import sys
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 from numba.core.codegen import JITCPUCodegen
 
 from hil.core.jit import kernel
 from hil.core.kernel_library import EntryLibrary, InlineLibrary, _KernelLibrary, whole_module
+from tests.support.forks import forked
 
 _THIS = f"numba {numba.__version__}"
 
@@ -62,20 +64,41 @@ def test_entry_holds_the_inlined_kernels_and_no_others(ninth: Any) -> None:
     assert not any("_third" in name for name in functions), f"{_THIS}: not inlined, or left behind"
 
 
+def test_references_are_counted_where_arrays_are_made_and_not_in_the_loop() -> None:
+    from hil.maths import quat
+
+    for made, function in ((False, quat.normalise), (True, quat.to_matrix)):
+        compiled: Any = function
+        array = compiled(np.array([0.0, 0.0, 0.6, 0.8]))
+        code = str(library_of(compiled)._get_module_for_linking())
+        assert ("NRT_MemInfo_alloc" in code, "NRT_decref" in code) == (made, made), _THIS
+        assert (array is not None) == made
+
+
+def test_array_that_a_kernel_makes_lives_as_long_as_it_is_used() -> None:
+    from hil.maths import quat
+
+    turn, many = np.array([0.0, 0.0, 0.6, 0.8]), []
+    first = quat.to_matrix(turn)
+    for _ in range(1000):
+        many.append(quat.multiply(turn, quat.conjugate(turn)))
+        quat.normalise(turn)
+    np.testing.assert_array_equal(quat.to_matrix(turn), first)
+    np.testing.assert_allclose(many, [[0.0, 0.0, 0.0, 1.0]] * len(many), atol=1e-15)
+    assert {sys.getrefcount(array) for array in many} == {3}, f"{_THIS}: a reference too many, or too few"
+
+
 def test_names_in_the_code_do_not_depend_on_the_order_of_compilation() -> None:
     code = """
-import numpy as np, sys
+import numpy as np
 from hil.maths import limits, quat
-if sys.argv[1] == "after":
+if {0}:
     quat.normalise(np.ones(4))
 limits.cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
 (result,) = limits.cut_to_range.overloads.values()
 print(result.fndesc.mangled_name)
 """
-    names = [
-        subprocess.run([sys.executable, "-c", code, order], capture_output=True, text=True, check=True).stdout
-        for order in ("first", "after")
-    ]
+    names = [forked(code.format(after), loaded="numba").stdout for after in (False, True)]
     assert names[0] == names[1] != "", _THIS
 
 

@@ -73,7 +73,7 @@ def test_a_reversed_encoder_makes_the_axis_run_away(make: Make, board: SharedAxi
     axes = make(WIDE)
     axes.faults.on("reversed", "y")
     travel(axes, 1, 0.02, 0.0, 4.0)
-    assert axes.limit[1] == 1  # ran into the end of its travel, not 40 mm on
+    assert axes.limit(1) == 1  # ran into the end of its travel, not 40 mm on
     assert board.read("rails", 4.0)[0][1] == pytest.approx(axes.high[1])
 
 

@@ -57,6 +57,13 @@ def test_a_pose_passes_through_a_line_with_all_its_digits(written: Written) -> N
     np.testing.assert_allclose(decoded.pose.q_vt, pose(7).q_vt, atol=1e-15)
 
 
+def test_line_in_the_shipped_file_is_a_frame_of_it() -> None:
+    (line,) = [each[4:] for each in Path(load_frame("text").source).read_text().splitlines() if "POSE,7" in each]
+    (decoded,) = frame_codec("text").decoder().feed(line.encode() + b"\n", 12.5)
+    assert decoded.pose is not None
+    assert (decoded.counter, decoded.t_s, decoded.pose.t_v.tolist()) == (7, 12.36, [0.012, -0.031, 4.402])
+
+
 def test_file_that_is_edited_is_read_again(written: Written) -> None:
     first = frame_codec(written(FILE)).encode(pose(7))
     assert frame_codec(written(FILE.replace("$POSE", "$VMU"))).encode(pose(7)) != first

@@ -209,7 +209,7 @@ def test_rate_is_the_gyros_without_drift_and_without_hills_turn(params: np.recor
 def test_errors_are_as_large_as_the_covariance(params: np.record, rng: np.random.Generator) -> None:
     runs, steps, marks = 30, 1504, (8, 400, 1504)
     w, dt = np.array([0.004, -0.003, 0.005]), params.akf.dt_s
-    r = SIGMA**2 * np.eye(3)
+    r, sigma_gyro, sigma_drift = SIGMA**2 * np.eye(3), params.akf.sigma_gyro, dt * params.akf.sigma_drift
     true = [Rotation.from_euler("ZYX", [-0.05, 0.05, 0.05]).as_quat()]
     hill, step = quat.from_rotation_vector(np.array([0.0, ORBIT_RATE * dt, 0.0])), on_circle(ORBIT_RATE, dt)
     for _ in range(steps):
@@ -220,8 +220,8 @@ def test_errors_are_as_large_as_the_covariance(params: np.record, rng: np.random
         drift = params.akf.initial_drift + params.akf.initial_drift_sigma * rng.standard_normal(3)
         noise = rng.standard_normal((steps, 6))
         for k in range(1, steps + 1):
-            state.predict(w + drift + params.akf.sigma_gyro * noise[k - 1, :3], NO_FORCE, step)
-            drift = drift + dt * params.akf.sigma_drift * noise[k - 1, 3:]
+            state.predict(w + drift + sigma_gyro * noise[k - 1, :3], NO_FORCE, step)
+            drift = drift + sigma_drift * noise[k - 1, 3:]
             if k % 8 == 0:
                 fuse(state, turned(true[k], SIGMA * rng.standard_normal(3)), r)
             if k in total:

@@ -60,9 +60,8 @@ def check(
     """Check an approach that has begun inside its corridor, if the filters have converged."""
     reactions = new(REACTION_STATE)
     reactions.converged = reactions.entered = converged
-    reactions.beyond = (
-        0 if level_share(params, navigation, np.empty(3), np.empty(3)) <= 1.0 else 1
-    )  # as ``reactions.acquire`` writes it
+    share = level_share(params, navigation, reactions.level, reactions.limit)  # as ``reactions.acquire`` writes it
+    reactions.beyond = 0 if share <= 1.0 else 1
     certain = new(GO_CHECK) if go is None else go
     return bool(approach_monitor.check(params, t_s, navigation, reference, ordered, reactions, certain, found))
 

@@ -79,11 +79,11 @@ def test_covariance_is_transformed_as_the_state_is(rng: np.random.Generator) -> 
     for j in range(9):
         each = new(FILTERS)
         each.pkf.x = root[:, j]
-        body_frame.enter_middle(axes, each, FILTER_ERRORS)
-        body_frame.leave_middle(axes, each, FILTER_ERRORS)
+        body_frame.enter_middle(axes, each, FILTER_ERRORS, 0)
+        body_frame.leave_middle(axes, each, FILTER_ERRORS, 0)
         columns[:, j] = each.pkf.x
-    body_frame.enter_middle(axes, first, FILTER_ERRORS)
-    body_frame.leave_middle(axes, first, FILTER_ERRORS)
+    body_frame.enter_middle(axes, first, FILTER_ERRORS, 0)
+    body_frame.leave_middle(axes, first, FILTER_ERRORS, 0)
     np.testing.assert_allclose(first.p[:9, :9], columns @ columns.T, atol=1e-12)
 
 

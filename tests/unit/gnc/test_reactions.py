@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
@@ -52,13 +54,19 @@ class WatchedApproach:
         return float(np.linalg.norm(self.reference.r_CT_H))
 
 
-@pytest.fixture
-def approach(scheme_1: Scenario) -> WatchedApproach:
-    """Return an approach after 40 s, moving."""
+@pytest.fixture(scope="module")
+def moving(scheme_1: Scenario) -> WatchedApproach:
+    """Return an approach after 40 s, moving; do not change it."""
     made = WatchedApproach(scheme_1).run(40.0)
     assert made.speed > 0.02
     assert made.supervision.reaction == CONTINUE
     return made
+
+
+@pytest.fixture
+def approach(moving: WatchedApproach) -> WatchedApproach:
+    """Return an approach after 40 s, moving."""
+    return deepcopy(moving)
 
 
 def table(approach: WatchedApproach, condition: int, reaction: int) -> None:

@@ -51,6 +51,11 @@ class Flight:
         self.q = quat.from_rotation_vector(np.array([0.05, -0.04, 0.03]))
         self.w = quat.transform(self.q, np.array([0.0, -params.orbit.mean_motion, 0.0]))
         self.wrong, self.force_scale, self.torque_scale = 0.0, 1.0, 1.0
+        self._drift, self._bias = params.akf.initial_drift, params.pkf.initial_bias
+        self._sigma_gyro, self._sigma_accelerometer = params.akf.sigma_gyro, params.pkf.sigma_accelerometer
+        self._force, self._torque = params.thrust.force, params.thrust.torque
+        self._transition, self._response = params.pkf.hill_transition, params.pkf.hill_response
+        self._hill = quat.from_rotation_vector(np.array([0.0, params.orbit.mean_motion * DT, 0.0]))
 
     def step(self, on: Sequence[int] = NOTHING, unseen: Sequence[int] = NOTHING, poses: bool = True) -> np.record:
         """Fly a step with the thrusters ``on``, and with uncommanded ones; return its STEP."""
@@ -61,14 +66,13 @@ class Flight:
         if cycle:
             torque = np.zeros(3)
             for j in (*on, *unseen):
-                force += self.force_scale * params.thrust.force[j]
-                torque += self.torque_scale * params.thrust.torque[j]
+                force += self.force_scale * self._force[j]
+                torque += self.torque_scale * self._torque[j]
             self.w = self.w + DT * torque
             self._move(force)
         noise = self._rng.standard_normal(6)
-        imu.rate_C = self.w + params.akf.initial_drift + params.akf.sigma_gyro * noise[:3] + self.wrong
-        imu.force_C = force + params.pkf.initial_bias + BIAS_OFF + self.wrong
-        imu.force_C += params.pkf.sigma_accelerometer * noise[3:]
+        imu.rate_C = self.w + self._drift + self._sigma_gyro * noise[:3] + self.wrong
+        imu.force_C = force + self._bias + BIAS_OFF + self.wrong + self._sigma_accelerometer * noise[3:]
         fusion.advance(params, self.state, self.memory, imu)
         if poses and cycle % FRAME == 0:
             fusion.fuse(params, self.state, self.memory, self._pose(cycle))
@@ -81,12 +85,10 @@ class Flight:
             self.step(on)
 
     def _move(self, force: Array) -> None:
-        own = self.params.pkf
-        hill = quat.from_rotation_vector(np.array([0.0, self.params.orbit.mean_motion * DT, 0.0]))
-        after = quat.multiply(quat.from_rotation_vector(DT * self.w), quat.multiply(self.q, hill))
+        after = quat.multiply(quat.from_rotation_vector(DT * self.w), quat.multiply(self.q, self._hill))
         middle = self.q + after
         quat.normalise(middle)
-        self.x = own.hill_transition @ self.x + own.hill_response @ quat.transform_back(middle, force)
+        self.x = self._transition @ self.x + self._response @ quat.transform_back(middle, force)
         self.q = after
 
     def _pose(self, cycle: int) -> np.record:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import backends_of, named
 from tests.support.backends import LQR, kernel_file
+from tests.support.forks import forked
 
 LAW = "import hil\n\n\nclass Law:\n    settings = (hil.Setting('gain', 2.0, '1/s'),)\n\n    def step(self, inp): ...\n"
 
@@ -84,8 +83,8 @@ def test_file_whose_comments_have_changed_is_loaded_by_another_process(tmp_path:
     )
     for comment in ("", "# another comment"):
         path.write_text(f"{path.read_text()}{comment}\n")
-        environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path / "cache")}
-        assert subprocess.run([sys.executable, "-c", script], env=environment, check=False).returncode == 0
+        done = forked(script, loaded="numba", HIL_CACHE_DIR=str(tmp_path / "cache"))
+        assert done.returncode == 0, done.stderr
 
 
 def test_settings_of_a_backend_are_dropped_when_another_one_takes_its_place() -> None:

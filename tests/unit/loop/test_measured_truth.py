@@ -20,7 +20,8 @@ RATE_HZ = 50.0
 V, W = np.array([-0.02, 0.0, 0.01]), np.array([0.0, 0.005, 0.0])
 
 
-START = dynamics_params.initial_truth(load_scenario("planar-floating").value)
+SCENARIO = load_scenario("planar-floating").value
+START = dynamics_params.initial_truth(SCENARIO)
 
 
 def memory() -> CoreMemory:
@@ -35,10 +36,9 @@ def measured(of: CoreMemory) -> MeasuredTruth:
 
 def pose(t_s: float, *, along_y_m: float = 0.0) -> np.recarray:
     """Return (1,) of POSE of a vehicle in steady motion from the start of the scenario."""
-    scenario = load_scenario("planar-floating").value
-    q0 = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), euler.YAW_PITCH_ROLL)
+    q0 = euler.to_quaternion(np.radians(SCENARIO.initial.attitude_deg), euler.YAW_PITCH_ROLL)
     record = new(POSE)
-    r = np.array(scenario.initial.position_m) + t_s * V + np.array([0.0, along_y_m, 0.0])
+    r = np.array(SCENARIO.initial.position_m) + t_s * V + np.array([0.0, along_y_m, 0.0])
     write_pose(r, quat.multiply(quat.from_rotation_vector(t_s * W), q0), 1e-3, 1e-3, record)
     record.t_s = t_s
     return np.array([record]).view(np.recarray)
@@ -93,7 +93,7 @@ def test_late_and_broken_poses_are_not_the_truth() -> None:
 
 
 def pose_x(t_s: float) -> float:
-    return float(load_scenario("planar-floating").value.initial.position_m[0] + t_s * V[0])
+    return float(SCENARIO.initial.position_m[0] + t_s * V[0])
 
 
 def test_silence_stops_the_bench() -> None:

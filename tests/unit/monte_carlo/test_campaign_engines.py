@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -102,3 +102,15 @@ def test_identity_needs_no_more_than_an_interpreter(tmp_path: Path) -> None:
     first = program_digest._digest(str(tmp_path / "hil"))
     (tmp_path / "hil" / "a.py").write_text("2")
     assert program_digest._digest(str(tmp_path / "hil")) != first
+
+
+def _flights_loaded() -> int:
+    """Return the number of compiled loops in this process."""
+    from hil.loop.compiled.run_cycles import run_cycles
+
+    return len(cast(Any, run_cycles).overloads)
+
+
+def test_worker_has_the_kernels_of_the_process_that_forks_it() -> None:
+    with engines._pool(1) as pool:
+        assert pool.submit(_flights_loaded).result() > 0

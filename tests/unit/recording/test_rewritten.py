@@ -1,8 +1,16 @@
-"""Recordings that other programs have rewritten, damaged ones, and what this program does not read."""
+"""Recordings that other programs have rewritten, damaged ones, and what this program does not read.
+
+400 s rewritten in twelve ways by two writers, and 1,000 damages; a folder with npm's @mcap/core, lz4js, zstd-codec:
+
+    HIL_MCAP_NPM=FOLDER pytest -m slow tests/unit/recording/test_rewritten.py
+"""
 
 from __future__ import annotations
 
+import os
 import random
+import shutil
+import subprocess
 import zlib
 from pathlib import Path
 from typing import Any
@@ -19,6 +27,16 @@ from tests.support.hostile_files import chunk, message
 
 KINDS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
+WAYS = [
+    (4, "none", True),
+    (8, "lz4", True),
+    (64, "zstd", True),
+    (4, "zstd", False),
+    (8, "none", False),
+    (64, "lz4", False),
+]
+NPM = os.environ.get("HIL_MCAP_NPM")
+
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -27,14 +45,16 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(run.summary["recording"]["file"])
 
 
-def rewritten(path: Path, out: Path, compression: str = "lz4", summary: bool = True, chunking: bool = True) -> Path:
+def rewritten(
+    path: Path, out: Path, compression: str = "lz4", summary: bool = True, chunking: bool = True, block_mib: int = 8
+) -> Path:
     """Return ``out``, written by the mcap package with the messages of ``path`` in the order of their times."""
     with path.open("rb") as file, out.open("wb") as stream:
         reader = make_reader(file)
         writer = Writer(
-            stream, chunk_size=8 << 20, compression=KINDS[compression], use_chunking=chunking, use_statistics=summary,
+            stream, chunk_size=block_mib << 20, compression=KINDS[compression], use_chunking=chunking,
             index_types=IndexType.ALL if summary else IndexType.NONE, repeat_channels=summary, repeat_schemas=summary,
-            use_summary_offsets=summary,
+            use_statistics=summary, use_summary_offsets=summary,
         )  # fmt: skip
         writer.start()
         for attachment in reader.iter_attachments():
@@ -71,6 +91,31 @@ def test_rewritten_recording_is_whole_and_verified(
     code, text = verify(out, capsys)
     assert code == PASSED
     assert f"PASS audit of {out.name}: rewritten, content unchanged: " in text
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_long_recording_rewritten_by_two_writers_is_whole_and_verified(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = Path(hil.run("scheme-1", duration_s=400.0, record=tmp_path).summary["recording"]["file"])
+    before = load(recorded)
+    for npm in (False, True) if NPM else (False,):
+        for block_mib, compression, summary in WAYS:
+            out = tmp_path / f"{'npm' if npm else 'python'}-{block_mib}-{compression}-{summary}.mcap"
+            if npm:
+                script = shutil.copy(Path(__file__).parents[2] / "support" / "rewrite_recording.mjs", str(NPM))
+                words = [recorded, out, block_mib, compression, int(summary)]
+                subprocess.run(["node", script, *map(str, words)], check=True)
+            else:
+                rewritten(recorded, out, compression, summary, block_mib=block_mib)
+            now = load(out)
+            assert now.cycles.tobytes() == before.cycles.tobytes()
+            assert len(now.cycles) == 20_001
+            code, text = verify(out, capsys)
+            assert code == PASSED
+            assert "rewritten, content unchanged" in text
+            out.unlink()
 
 
 @pytest.mark.parametrize(
@@ -148,10 +193,11 @@ def test_log_sorted_by_time_is_read_by_number_unless_a_line_is_at_another_time()
     assert ordered_log(found) == by_time
 
 
-def test_no_damage_of_a_byte_is_silent(path: Path) -> None:
+@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+def test_no_damage_of_a_byte_is_silent(path: Path, count: int) -> None:
     whole, rng, copy = path.read_bytes(), random.Random(8), path.with_name("damaged.mcap")
     expected = {topic: b"".join(rows) for topic, rows in contents(path).records.items()}
-    for _ in range(60):
+    for _ in range(count):
         data = bytearray(whole)
         data[rng.randrange(len(data))] ^= rng.randrange(1, 256)
         copy.write_bytes(data)

@@ -31,7 +31,10 @@ def history(level_m: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("level_m", "expected"), [(0.02, True), (np.nan, False)])
-def test_report_has_the_diagram_if_protection_levels_are_reported(level_m: float, expected: bool) -> None:
+def test_report_has_the_diagram_if_protection_levels_are_reported(
+    level_m: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.report.figures.svg_address", lambda _: "")
     scenario, rig, rows = load_scenario("scheme-1").value, load_rig("mock").value, history(level_m)
     verdict = verdict_of(counted(rows, scenario).ready, scenario.requirements)
     assert (TITLE in [title for title, _ in figures(rows, scenario, rig, verdict)]) == expected

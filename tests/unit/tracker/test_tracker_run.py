@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,18 @@ def test_run_has_rows_numbers_and_a_section_and_keeps_its_bits(tmp_path: Path) -
     assert set(rows.body) == {0, 1}
     assert (rows.status == 0).all()
     assert np.abs(rows.off_m[rows.body == 0]).max() < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_clock_that_is_off_is_found_within_half_a_millisecond(capsys: pytest.CaptureFixture[str]) -> None:
+    """pytest -m slow tests/unit/tracker/test_tracker_run.py"""
+    overrides = {**TRACKER, "rig.tracker.reference.body": 3, "rig.tracker.latency_s": 0.005}
+    for seed in range(1, 21):
+        clock = hil.run("scheme-1", seed=seed, overrides=overrides, duration_s=180.0).summary["bench_truth"]["clock"]
+        with capsys.disabled():
+            sys.stdout.write(f"\nseed {seed}: {clock['latency_ms']:.3f} ms, sigma {clock['latency_sigma_ms']:.3f} ms")
+        assert clock["latency_ms"] == pytest.approx(5.0, abs=0.5)
 
 
 def test_run_whose_base_moves_is_held_and_has_no_verdict() -> None:

@@ -48,7 +48,6 @@ class Cia402Link:
         self._timeout_s = config.timeout_s
         self._clock = clock
         axes: list[GimbalAxis] = [getattr(config, name) for name in config.axis_names]
-        ids = [wire.node_ids[axis] for axis in config.axis_numbers]
         self._eds = Eds.of(wire, homing=any(axis.encoder == "incremental" for axis in axes))
         self.has_profiles = False
         self.jogging = False
@@ -56,7 +55,7 @@ class Cia402Link:
         """Time between two exchanges while setpoints arrive."""
         self._nodes = [
             Node(name, node_id, config, axis, wire, clock)
-            for name, node_id, axis in zip(self.axis_names, ids, axes, strict=True)
+            for name, node_id, axis in zip(self.axis_names, config.ids_of(wire.node_ids), axes, strict=True)
         ]
         self._handlers = {
             base + node.node_id: handler

@@ -22,7 +22,6 @@ from hil.errors import LinkTimeout, ProtocolError
 
 REPLY_WALL_S = 0.3
 _SDO_BYTES = 8
-_NOT_MAPPABLE = 0x06040041
 _INVALID_VALUE = 0x06090030
 _WITHOUT_RTR = 0xFFFF_FFFF & ~codec.PDO_NO_RTR
 _ABSENT = (0x06020000, 0x06090011)  # no such object, no such sub-index
@@ -140,12 +139,12 @@ class DriveObjects:
             raise ProtocolError(self.axis, f"object {name} is {actual} after {value} was written")
 
     def map_either(self, full: Pdo, plain: Pdo, skip_full: bool = False) -> bool:
-        """Map ``full``, or ``plain`` if EDS or drive lack one of its objects; return whether it is full."""
+        """Map ``full``, or ``plain`` if the EDS lacks one of its objects or the drive refuses it; return which."""
         if self._eds.maps(full) and not skip_full:
             try:
                 self.map(full)
             except ProtocolError as error:
-                if _abort_code(error) not in (*_ABSENT, _NOT_MAPPABLE):
+                if _abort_code(error) is None:
                     raise
             else:
                 return True

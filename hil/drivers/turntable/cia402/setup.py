@@ -81,9 +81,15 @@ class DriveSetup(DriveObjects):
         self._set_period(period_s)
         self.request_mode(self.stream)
 
-    def _set_reaction(self, index: int, wanted: tuple[int, ...]) -> None:
-        if (code := self._eds.reaction(index, wanted)) is not None:
+    def _set_reaction(self, index: int, allowed: tuple[int, ...]) -> None:
+        """Set the first of ``allowed`` that the data sheet allows; a drive that refuses it may have another of them."""
+        if (code := self._eds.reaction(index, allowed)) is None:
+            return
+        try:
             self.set(index, code, 2)
+        except ProtocolError:
+            if self.read(index) not in allowed:
+                raise
 
     def _choose_stream(self) -> None:
         """Choose the mode that follows setpoints, of those that the connected drive supports."""
@@ -191,7 +197,8 @@ class DriveSetup(DriveObjects):
 
     def displays(self, mode: int) -> bool | None:
         """Return whether the drive displays ``mode``; None for a drive that displays none."""
-        return self.get(codec.MODE_DISPLAY, 1) == mode if self._eds.has(codec.MODE_DISPLAY) else None
+        displayed = self.read(codec.MODE_DISPLAY)
+        return None if displayed is None else displayed == mode
 
     def await_mode(self, mode: int) -> bool:
         """Return whether the drive displays ``mode`` within LAG_WALL_S; one that is not enabled may do so later."""
@@ -288,11 +295,10 @@ class DriveSetup(DriveObjects):
             return False
         now_s = self._clock.host_s()
         self._enabled_since_s = self._enabled_since_s or now_s
-        if self.displays(self.stream) is not False:
-            return True
-        if now_s - self._enabled_since_s > LAG_WALL_S:
+        displayed, is_late = self.displays(self.stream), now_s - self._enabled_since_s > LAG_WALL_S
+        if displayed is False and is_late:
             raise self.stays_in_another(self.stream)
-        return False
+        return is_late if displayed is None else displayed
 
     def not_enabled(self, timeout_s: float) -> LinkTimeout:
         """Return the error of a drive that is not enabled in time."""

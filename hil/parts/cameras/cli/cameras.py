@@ -148,6 +148,50 @@ def show(
     return 0
 
 
+@app.command(name="identity", help="Write which cameras these are, and the part of the sensor that they send.")
+def identity(
+    left: str,
+    right: str | None = None,
+    /,
+    *,
+    out: str,
+    options: Group[CameraOptions] = _DEFAULTS,
+) -> int:
+    """Write cameras.json into a folder of images: which cameras took them, and which part of their sensors.
+
+    hil calibrate writes it into geometry and scene files, hil vmu and hil monitor compare it with them.
+
+    Parameters
+    ----------
+    left
+        Left camera of a vision unit, or, alone, the docking monitor's: IP address, serial number or identifier.
+    right
+        Right camera.
+    out
+        Folder of the images.
+    """
+    from hil.config.camera_identity import CAMERAS_FILE, MONITOR_CAMERA, write_identities
+
+    problems = option_problems(options)
+    if not Path(out).is_dir():
+        problems.append(Problem("--out", "", f"{out}: give a folder that exists"))
+    refuse(problems)
+    found = {}
+    for name, camera in {MONITOR_CAMERA: left}.items() if right is None else {"left": left, "right": right}.items():
+        opened = open_camera_of(camera, options)
+        try:
+            found[name] = opened.identity
+        finally:
+            opened.close()
+    write_identities(found, Path(out))
+    console = Console()
+    for name, each in found.items():
+        stated = ", ".join(f"{key} {value}" for key, value in each.model_dump(exclude_none=True).items())
+        console.print(f"{name}: {stated or 'the camera reports nothing of itself'}", highlight=False, soft_wrap=True)
+    console.print(str(Path(out) / CAMERAS_FILE), highlight=False)
+    return 0
+
+
 @app.command(name="focus", help="Print the sharpness of the spots of one camera, image by image, until Ctrl-C.")
 def focus(
     camera: str,

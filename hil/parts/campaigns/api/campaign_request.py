@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from hil.api.jobs import BackendArguments, Settings, job_of
-from hil.checks.ephemeris import ephemeris_warnings
-from hil.checks.go_level import go_warnings
-from hil.checks.unseen import unseen_warnings
+from hil.checks.before_run import before_run
 from hil.config.scenario import Scenario
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, Problem
@@ -109,9 +107,7 @@ class CampaignRequest:
             engine = LocalEngine(self.workers) if self.scheduler is None else DaskEngine(self.scheduler)
             held.callback(engine.close)
             for job in jobs:
-                scenario = job.scenario.value
-                ages = ephemeris_warnings(scenario, job.rig, job.duration_s)
-                for line in (*unseen_warnings(scenario, job.rig), *go_warnings(scenario, job.rig), *ages):
+                for line in before_run(job.scenario.value, job.rig, job.duration_s).lines:
                     warn(line)
             out = self.out
             if out is None:

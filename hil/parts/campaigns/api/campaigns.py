@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Unpack, overload
+from typing import Annotated, Any, Unpack, overload
 
 from hil.api.jobs import BackendArguments, Overrides, named_as_argument, settings_of
 from hil.config.scenario import Scenario
@@ -13,13 +13,13 @@ from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.parts.campaigns.api.campaign_request import CampaignRequest
 from hil.parts.campaigns.api.campaign_results import Campaign, StudyResults, SweepResults
-from hil.parts.campaigns.campaign import Sweep
+from hil.parts.campaigns.campaign import RIG, Sweep
 
 
 class CampaignArguments(BackendArguments, total=False):
     """Further arguments of ``hil.campaign``. rig: in memory. scheduler: of Dask. dispersions: set or file."""
 
-    rig: str
+    rig: Annotated[str, RIG]
     scheduler: str | None
     dispersions: str | Path | None
 
@@ -30,7 +30,7 @@ class StudyArguments(CampaignArguments, total=False):
     against: str | Path | Scenario | None
     sweep: str | Sweep | None
     rare: str | None
-    method: str
+    method: Annotated[str, "subset"]
     sobol: int | None
 
 
@@ -43,7 +43,7 @@ class SharedArguments(CampaignArguments, total=False):
 class SweepArguments(SharedArguments, total=False):
     """Further arguments of ``hil.sweep``."""
 
-    workers: int
+    workers: Annotated[int, 0]
 
 
 @overload

@@ -21,7 +21,6 @@ from hil.cli.options import (
     Group,
     Integer,
     Names,
-    OptionalPositive,
     Positive,
     Settings,
     TomlFile,
@@ -35,11 +34,14 @@ from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
+    from hil.config.camera_identity import CameraIdentity
     from hil.vmu.calibration.board import Board
+    from hil.vmu.calibration.single_camera import CameraFit
 
 Kind = Literal["opencv", "kalibr", "ros"]
+Side = Literal["left", "right"]
 _PASSED, _FAILED = 0, 1
-_LEAST_SQUARE_MM = 1.0
+_LEAST_SQUARE_MM, _LARGEST_SQUARE_MM = 1.0, 1000.0
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
@@ -64,9 +66,14 @@ class InitialGuessOptions:
     """Options of target and initial values."""
 
     board: str | None = None
-    """Inner corners of the chessboard that is the target, 11x8; default: the LEDs."""
+    """Inner corners of the chessboard that is the target, 11x8; with --marker-mm the squares of a ChArUco board;
+    default: the LEDs."""
     square_mm: Positive | None = None
     """Side of a square of the board."""
+    marker_mm: Positive | None = None
+    """Side of a marker: the board is a ChArUco board, which need not be completely visible."""
+    dictionary: str = "4X4_50"
+    """With --marker-mm: dictionary of the markers, in OpenCV's notation."""
     rig: str = "mock"
     """mock, emulated, or the path of a rig file: lever arm, gimbals, nominal mounting and LEDs."""
     geometry: str | None = None
@@ -76,6 +83,8 @@ class InitialGuessOptions:
     hand_held: Flag = False
     """VIEWS has pairs of a board held by hand, without a bench: cameras and their relative pose alone. Without --board
     pairs of the LED ring, moved by hand: its layout by the cameras of --geometry."""
+    camera: Side | None = None
+    """VIEWS has images of this camera alone, of a board held by hand: left or right of --geometry or --rig."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
 
@@ -87,7 +96,7 @@ class InitialGuessOptions:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        return _board_problems(self.board, self.square_mm)
+        return _board_problems(self)
 
 
 @dataclass(frozen=True)
@@ -130,8 +139,9 @@ class LimitOptions:
 
     max_rms_px: Positive = 0.15
     """Limit of the residuals, RMS: with larger ones the vision unit loses the tilt of a distant ring."""
-    max_error_mm: Positive = 2.0
-    """Limit of a point's position uncertainty from the calibration at --range-m, 1 sigma."""
+    max_error_mm: Positive | None = None
+    """Limit of a point's position uncertainty from the calibration at --range-m, 1 sigma; default: 2, or the depth of
+    --max-rms-px of disparity if larger."""
     range_m: Positive = 2.0
     """Working range at which the errors are assessed."""
     max_mounting_mm: Positive = 1.0
@@ -225,9 +235,12 @@ def calibrate(
     others |= {"figure": result.figure, "check": drift.check, "drive": driving.drive}
     problems += _television_problems(start, result.scene_out, others)
     problems += _hand_held_problems(start, others)
+    problems += _one_camera_problems(start, result)
     refuse(problems + (_drive_problems(views, start, driving) if driving.drive else []))
     if start.scene is not None:
         return _calibrate_television(Path(views), start.scene, start, result, limits)
+    if start.camera is not None:
+        return _calibrate_one(Path(views), start.camera, start, result, limits, settings)
     if driving.drive:
         _drive(Path(views), start, sigmas, driving, settings)
     if drift.check is not None:
@@ -284,8 +297,8 @@ def _drive(
 
     announce = partial(say, console=console, style="dim")
     with ProgressBar(console, "opening the axes") as bar, build.wired_bench(job, announce) as bench:
-        views = take_views(bench, plan, driving.settle_s, bar.show)
-    write_views(folder, views)
+        views, identities = take_views(bench, plan, driving.settle_s, bar.show)
+    write_views(folder, views, identities)
 
 
 def _calibrate(
@@ -301,19 +314,19 @@ def _calibrate(
     from hil.config.load import load_geometry, load_rig
     from hil.params.bench import ideal_axes
     from hil.parts.vision.cli.calibrate_tables import print_outcome
-    from hil.vmu.calibration import job
+    from hil.vmu.calibration import hand_held, job
     from hil.vmu.calibration.files import HAND_HELD, Label, as_toml, geometry_table, rig_table
     from hil.vmu.calibration.report import as_json
-    from hil.vmu.calibration.views import read_views
+    from hil.vmu.calibration.views import read_views, what_was_read
     from hil.vmu.geometry import geometry_of_rig
 
     rig = load_rig(start.rig, settings)
     guess = start.geometry is not None
     geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
     board = _board(start)
-    loaded = None if start.hand_held else read_views(Path(views))
-    if loaded is not None:
-        loaded = replace(loaded, axes=ideal_axes(rig.value, loaded.axes))
+    loaded = hand_held.read_pairs(Path(views)) if start.hand_held else read_views(Path(views))
+    say(what_was_read([image for pair in loaded.images for image in pair]), notices())
+    identities = _identities(Path(views), geometry.identities, start.geometry or start.rig, result.date)
     sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
     given = job.CalibrationInputs(
         board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent
@@ -324,10 +337,10 @@ def _calibrate(
     with ProgressBar(notices(), "reading the views") as bar:
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
         common = rig.value, geometry, given, limit_values, label, guess, bar.show
-        if loaded is None:
-            outcome = job.calibrate_hand_held(Path(views), *common)
+        if start.hand_held:
+            outcome = job.calibrate_hand_held(loaded, *common)
         else:
-            outcome = job.calibrate(loaded, *common)
+            outcome = job.calibrate(replace(loaded, axes=ideal_axes(rig.value, loaded.axes)), *common)
     fit = outcome.solved.fit
     write_json(as_json(outcome), result.json)
     if result.figure is not None:
@@ -337,7 +350,7 @@ def _calibrate(
     outcome.refuse_unusable(views)
     if result.out is not None:
         used = len(outcome.solved.observations.names)
-        table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used)
+        table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used, identities)
         measured = "LEDs and cameras" if label.target.endswith("leds") and "leds" not in start.keep else "cameras"
         given_leds = "" if measured != "cameras" else " The LEDs are those given to it: measure them too."
         write_text(as_toml(table, f"Vision unit: {measured}, as measured by hil calibrate.{given_leds}"), result.out)
@@ -347,6 +360,25 @@ def _calibrate(
     if result.json != "-":
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED
+
+
+def _identities(
+    views: Path, given: dict[str, CameraIdentity | None], source: str, date: str | None
+) -> dict[str, CameraIdentity | None]:
+    """Return the identities of the cameras of ``views``, a folder or a CSV file in it; print if there are none.
+
+    given: those of ``source``, of which the cameras of the views must be. Raises BadInput.
+    """
+    from hil.config.camera_identity import CAMERAS_FILE, NOT_PROVEN, check_folder, read_identities
+
+    folder = views if views.is_dir() else views.parent
+    check_folder(given, folder, source)
+    read = read_identities(folder)
+    day = date or datetime.datetime.now().astimezone().date().isoformat()
+    stated = {name: each and each.model_copy(update={"date": each.date or day}) for name, each in read.items()}
+    if not stated:
+        say(f"{NOT_PROVEN}: no {CAMERAS_FILE} in {folder}, see hil cameras identity", notices())
+    return stated
 
 
 def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
@@ -401,29 +433,85 @@ def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -
     return problems
 
 
-def _calibrate_television(
-    folder: Path, scene: str, start: InitialGuessOptions, result: ResultOptions, limits: LimitOptions
-) -> int:
-    from hil.config.load import load_scene
-    from hil.parts.vision.cli.calibrate_tables import print_camera
-    from hil.vmu.calibration.files import as_toml
-    from hil.vmu.calibration.single_camera import board_images, fit_camera
+def _one_camera_problems(start: InitialGuessOptions, result: ResultOptions) -> list[Problem]:
+    """Return the problems of the options of one camera of a vision unit."""
+    if start.camera is None:
+        return []
+    given = {"scene": start.scene, "keep": start.keep, "rig-out": result.rig_out, "figure": result.figure}
+    problems = [Problem("--camera", "", f"goes without --{name}") for name, value in given.items() if value]
+    return (
+        problems if start.board is not None else [*problems, Problem("--camera", "", "needs --board and --square-mm")]
+    )
 
-    loaded, board = load_scene(scene).value, _board(start)
+
+def _fit_of(
+    folder: Path, side: Side | None, size: tuple[int, int] | None, start: InitialGuessOptions, result: ResultOptions,
+    limits: LimitOptions,
+) -> CameraFit:  # fmt: skip
+    """Return the camera by its images. Raises BadInput if they do not fit."""
+    from hil.vmu.calibration.single_camera import board_images, fit_camera, images_of_camera
+    from hil.vmu.calibration.views import what_was_read
+
+    board = _board(start)
     assert board is not None
-    size = loaded.camera.width, loaded.camera.height
+    paths = images_of_camera(folder, side)
+    say(what_was_read(paths), notices())
     with ProgressBar(notices(), "reading the images") as bar:
-        fit = fit_camera(board_images(folder, size, board, bar.show), size, board)
+        fit = fit_camera(*board_images(paths, size, board, bar.show), board)
     passed = fit.rms_px <= limits.max_rms_px
     write_json(fit.as_json(passed, limits.max_rms_px), result.json)
     if not passed:
-        text = f"residuals {fit.rms_px:.3f} px RMS, allowed {limits.max_rms_px:g} px: no scene file is written"
+        text = f"residuals {fit.rms_px:.3f} px RMS, allowed {limits.max_rms_px:g} px: no file is written"
         raise BadInput.single(str(folder), "", text)
+    return fit
+
+
+def _calibrate_television(
+    folder: Path, scene: str, start: InitialGuessOptions, result: ResultOptions, limits: LimitOptions
+) -> int:
+    from hil.config.camera_identity import MONITOR_CAMERA
+    from hil.config.load import load_scene
+    from hil.parts.vision.cli.calibrate_tables import print_camera
+    from hil.vmu.calibration.files import as_toml
+
+    loaded = load_scene(scene).value
+    fit = _fit_of(folder, None, (loaded.camera.width, loaded.camera.height), start, result, limits)
     if result.scene_out is not None:
-        content = {"extends": base_of(scene, result.scene_out, "targets"), **fit.scene_table(loaded)}
+        given = {MONITOR_CAMERA: loaded.camera.identity}
+        identity = _identities(folder, given, scene, result.date).get(MONITOR_CAMERA)
+        content = {"extends": base_of(scene, result.scene_out, "targets"), **fit.scene_table(loaded, identity)}
         write_text(as_toml(content, "Television camera, as measured by hil calibrate."), result.scene_out)
     if result.json != "-":
-        print_camera(fit, loaded, Console())
+        nominal = loaded.camera.f, loaded.camera.f, loaded.camera.cx, loaded.camera.cy
+        print_camera(fit, f"Camera of scene {loaded.name}", nominal, Console())
+    return _PASSED
+
+
+def _calibrate_one(
+    folder: Path,
+    side: Side,
+    start: InitialGuessOptions,
+    result: ResultOptions,
+    limits: LimitOptions,
+    settings: Sequence[str],
+) -> int:
+    """Calibrate one camera of a vision unit; the other one, baseline and LEDs are those of --geometry or --rig."""
+    from hil.config.load import load_geometry, load_rig
+    from hil.parts.vision.cli.calibrate_tables import print_camera
+    from hil.vmu.calibration.files import as_toml
+    from hil.vmu.geometry import geometry_of_rig
+
+    rig = load_rig(start.rig, settings).value
+    nominal = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig)
+    fit = _fit_of(folder, side, None, start, result, limits)
+    if result.out is not None:
+        identity = _identities(folder, nominal.identities, start.geometry or start.rig, result.date).get(side)
+        table = fit.geometry(nominal, side, identity).model_dump(exclude_none=True)
+        comment = f"Vision unit: {side} camera as measured by hil calibrate; the rest is that given to it."
+        write_text(as_toml(table, comment), result.out)
+    if result.json != "-":
+        camera = getattr(nominal, side)
+        print_camera(fit, f"{side} camera", (camera.fx, camera.fy, camera.cx, camera.cy), Console())
     return _PASSED
 
 
@@ -460,19 +548,45 @@ def _board(start: InitialGuessOptions) -> Board | None:
     if start.board is None or start.square_mm is None:
         return None
     columns, rows = (int(number) for number in start.board.split("x"))
-    return Board(columns, rows, 1e-3 * start.square_mm)
+    if start.marker_mm is None:
+        return Board(columns, rows, 1e-3 * start.square_mm)
+    return Board(columns - 1, rows - 1, 1e-3 * start.square_mm, 1e-3 * start.marker_mm, start.dictionary)
 
 
-def _board_problems(board: str | None, square_mm: OptionalPositive) -> list[Problem]:
+def _board_problems(start: InitialGuessOptions) -> list[Problem]:
+    board, square_mm = start.board, start.square_mm
     if board is None:
-        return [Problem("--square-mm", "", "goes with --board only")] if square_mm is not None else []
+        given = {"square-mm": square_mm, "marker-mm": start.marker_mm}
+        return [
+            Problem(f"--{name}", "", "goes with --board only") for name, value in given.items() if value is not None
+        ]
     if square_mm is not None and square_mm < _LEAST_SQUARE_MM:
         return [Problem("--square-mm", "", f"{square_mm:g}: at least {_LEAST_SQUARE_MM:g} mm; is this in metres?")]
+    if square_mm is not None and square_mm > _LARGEST_SQUARE_MM:
+        return [
+            Problem("--square-mm", "", f"{square_mm:g}: at most {_LARGEST_SQUARE_MM:g} mm; is this in micrometres?")
+        ]
     match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
     if match is None:
         return [Problem("--board", "", f"{board}: must be COLUMNSxROWS of inner corners, as 11x8")]
     columns, rows = (int(number) for number in match.groups())
+    if start.marker_mm is not None and square_mm is not None:
+        return _charuco_problems(start, columns, rows)
     if columns == rows or min(columns, rows) < 3:
         text = "columns and rows must be at least 3 and differ, or the orientation of the board is ambiguous"
         return [Problem("--board", "", f"{board}: {text}")]
     return [Problem("--square-mm", "", "is missing: the side of a square, measured")] if square_mm is None else []
+
+
+def _charuco_problems(start: InitialGuessOptions, columns: int, rows: int) -> list[Problem]:
+    """Return the problems of a ChArUco board of ``columns`` x ``rows`` squares."""
+    from hil.vmu.prints import CharucoSettings, checked
+
+    assert start.square_mm is not None
+    assert start.marker_mm is not None
+    sides = {"square_m": 1e-3 * start.square_mm, "marker_m": 1e-3 * start.marker_mm}
+    try:
+        checked(CharucoSettings, {"dictionary": start.dictionary, "columns": columns, "rows": rows, **sides})
+    except BadInput as error:
+        return [Problem("--board", "", f"{p.key.rpartition('.')[2]}: {p.message}") for p in error.problems]
+    return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -10,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.output import say
-from hil.config.scene import Scene
 from hil.core.messages import Array
+from hil.vmu.calibration.board import one_sided
 from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import Parameter, parameters
 from hil.vmu.calibration.report import found_numbers, led_differences
@@ -77,11 +78,13 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         show(f"{solved.spots_left_out} spots rejected: inconsistent with the rest of their view")
     for name, why in solved.left_out.items():
         show(f"rejected  {name}: {why}")
+    if alone := one_sided(used):
+        show(f"of one camera alone: {', '.join(f'{name} ({side})' for name, side in alone.items())}")
     for warning in outcome.warnings:
         show(f"warning   {warning}")
     for check in outcome.checks:
         word = "ok  " if check.passed else "FAIL"
-        show(f"{word}      {check.name} {check.value:.4g} {check.unit}, allowed {check.limit:g} {check.unit}")
+        show(f"{word}      {check}")
     show(f"{'[bold green]PASS[/]' if outcome.passed else '[bold red]FAIL[/]'} {outcome.label.id}")
 
 
@@ -98,20 +101,19 @@ def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, 
     table.add_row(parameter.name, shown, spread, f"{paper:g}", parameter.unit)
 
 
-def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
-    """Print the calibration of a television camera."""
-    table = _table(f"Camera of scene {scene.name}", "number", "value", "sigma", "scene", "unit")
+def print_camera(fit: CameraFit, title: str, nominal: Sequence[float], console: Console) -> None:
+    """Print the calibration of one camera. nominal: fx, fy, cx, cy, px."""
+    table = _table(title, "number", "value", "sigma", "nominal", "unit")
     values = (*fit.focal_px, *fit.centre_px)
-    nominal = (scene.camera.f, scene.camera.f, scene.camera.cx, scene.camera.cy)
     for name, value, sigma, given in zip(("fx", "fy", "cx", "cy"), values, fit.sigma_px, nominal, strict=True):
         table.add_row(name, *_shown(float(value), float(sigma)), f"{given:g}", "px")
     console.print(table)
-    left_out = f", left out: {', '.join(fit.left_out)}" if fit.left_out else ""
-    console.print(
-        f"{len(fit.used)} images, residuals {fit.rms_px:.3f} px RMS{left_out}; pixels {fit.aspect:.5f} times as high "
-        f"as wide, distortion at the corners up to {fit.corner_px:.2f} px: tolerances of the scene",
-        highlight=False,
-        soft_wrap=True,
+    for name, why in fit.left_out.items():
+        say(f"rejected  {name}: {why}", console)
+    say(
+        f"{len(fit.used)} images, residuals {fit.rms_px:.3f} px RMS; pixels {fit.aspect:.5f} times as high as wide, "
+        f"distortion at the corners up to {fit.corner_px:.2f} px",
+        console,
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.cli.output import deliver, notices, print_columns, say
+from hil.config.camera_identity import MONITOR_CAMERA, check_recorded
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -39,7 +40,10 @@ def replay_images(
 
 def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
     if path is not None:
-        return load_geometry(path).value
+        given = load_geometry(path).value
+        if GEOMETRY_FILE in recorded.files:
+            check_recorded(given.identities, recorded.calibration(GEOMETRY_FILE, VmuGeometry).identities, path)
+        return given
     if recorded.scenario.vmu.source != "rendered":
         raise BadInput.single(str(recorded.path), "", 'holds no images of the vision unit: vmu.source was "model"')
     return recorded.calibration(GEOMETRY_FILE, VmuGeometry)
@@ -50,7 +54,13 @@ def _scene(recorded: Recorded, name: str | None) -> Scene:
     if not monitor.has_images:
         text = f'holds no images of a docking monitor: monitor.source was "{monitor.source}"'
         raise BadInput.single(str(recorded.path), "", text)
-    return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
+    if name is None:
+        return recorded.calibration(SCENE_FILE, Scene)
+    given = load_scene(name).value
+    if SCENE_FILE in recorded.files:
+        now, then = given.camera.identity, recorded.calibration(SCENE_FILE, Scene).camera.identity
+        check_recorded({MONITOR_CAMERA: now}, {MONITOR_CAMERA: then}, name)
+    return given
 
 
 def _as_json(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> dict[str, Any]:

@@ -142,6 +142,7 @@ def vmu(
         File for the counts, - for standard output.
     """
     from hil.cli.warm_up import exit_on_ctrl_c
+    from hil.config.camera_identity import PROVEN, check_folder, identity_doubt
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
     from hil.vmu.sources import ImageFolder, StreamPairs, exposures, names_two
@@ -149,14 +150,17 @@ def vmu(
 
     loaded = load_geometry(geometry).value
     images: ImageFolder | StreamPairs | CameraPairs
+    doubt = identity_doubt(loaded.identities, {})
     if (cameras := _genicam(folder)) is not None:
         images, count = _camera_pairs(cameras, loaded, rate_hz), None
+        doubt = images.identity_doubt
     elif names_two(folder):
         images = StreamPairs(folder)
         count = images.count
     else:
         images = ImageFolder(Path(folder), start.start_frame)
         _check_size(images, loaded, geometry)
+        doubt = check_folder(loaded.identities, Path(folder), geometry)
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
     endless = live or cameras is not None
@@ -190,7 +194,7 @@ def vmu(
                 _write_overlay(Path(overlay), unit, pair, solution)
             bar.show(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
     write_csv(rows, out)
-    summary = summarise(solutions, folder)
+    summary = summarise(solutions, folder) | {"identity": doubt or PROVEN}
     deliver(summary, json, lambda: _print(summary, geometry, out, Console()))
     return _PASSED if summary["solved"] else _FAILED
 
@@ -368,6 +372,7 @@ def _write_overlay(folder: Path, unit: VisionUnit, pair: Pair, solution: Solutio
 
 
 def _print(summary: dict[str, Any], geometry: str, out: str, console: Console) -> None:
+    from hil.config.camera_identity import PROVEN
     from hil.vmu.estimators import PRINT
 
     text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
@@ -379,4 +384,6 @@ def _print(summary: dict[str, Any], geometry: str, out: str, console: Console) -
         say(f"{PRINT}: {text} {geometry}", console, "red")
     for line in summary["refused"]:
         say(line, console, "red")
+    if summary["identity"] != PROVEN:
+        say(summary["identity"], console)
     say(f"poses in {out}", console)
