@@ -65,8 +65,8 @@ class EphemerisLimit(NamedTuple):
         last = "the end" if math.isinf(self.longest_s) else f"{self.longest_s / 3600.0:.2g}"
         return (
             f"the GNC's orbit is good for {self.good_for_s / 3600.0:.2g} h of {length_s / 3600.0:.3g} h, by the noise "
-            f"of the poses {self.shortest_s / 3600.0:.2g} to {last}: {off}, and innovations become "
-            f"inconsistent; {degrees}"
+            f"of the poses {self.shortest_s / 3600.0:.2g} to {last}: {off}, and the innovations become inconsistent; "
+            f"{degrees}"
         )
 
 

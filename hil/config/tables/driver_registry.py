@@ -305,7 +305,7 @@ class DeviceTable(OpenTable):
             return None
 
     @classmethod
-    def driver_tables(cls) -> dict[str, type[ConfigModel]]:
+    def driver_tables(cls) -> dict[str, type[BaseModel]]:
         """Return the models of the tables of all usable drivers of the device, by their names."""
         names = dict.fromkeys([*_BUILT_IN, *(point.name for point in entry_points(group=GROUP))])
         models = {}
