@@ -66,6 +66,7 @@ def _numbers(scenario: Scenario, rig: Rig) -> dict[str, Any]:
 
     from hil.checks.abort import failed_thrusters
     from hil.checks.go_level import predicted_hold
+    from hil.checks.modes import mode_swings
     from hil.checks.vehicle import authority, phase_demands
     from hil.params.gnc import abort_brake, braking_acceleration
 
@@ -86,6 +87,7 @@ def _numbers(scenario: Scenario, rig: Rig) -> dict[str, Any]:
     return {
         "authority": per_axis,
         "phases": [each._asdict() for each in phase_demands(scenario)],
+        "modes": [swing._asdict() for swing in mode_swings(scenario)],
         "hold": [axis._asdict() | {"level": axis.level or None} for axis in predicted_hold(scenario, rig)],
         "abort": {
             "brake_mps2": scenario.gnc.abort.brake_mps2,
@@ -134,6 +136,11 @@ def _show(numbers: dict[str, Any]) -> None:
         "limit cycle +-", "period, s", "kg/h",
     )  # fmt: skip
     print_columns(head, held, left=(0, 1))
+    for mode in numbers["modes"]:
+        say(
+            f"mode {mode['mode']}, {mode['frequency_hz']:g} Hz: smallest firings swing the hub {mode['axis']} by "
+            f"{mode['swing']:.2g} {mode['unit']}, allowed {mode['allowed']:.2g}"
+        )
     abort = numbers["abort"]
     say(
         f"abort brakes with {abort['flown_mps2']:.3g} m/s2 of {abort['given_mps2']:.3g} (gnc.abort.brake_mps2 "

@@ -42,7 +42,9 @@ def test_vision_is_named_if_nothing_else_explains_the_innovations() -> None:
         ("thrust.excess_C", (0.002, 0.0, 0.0), SCALE),
     ],
 )  # fmt: skip
-def test_what_the_imu_has_shown_by_itself_keeps_the_name_back(field: str, value: object, cause: int) -> None:
+def test_what_the_imu_has_shown_by_itself_keeps_the_name_back(
+    field: str, value: int | tuple[float, ...], cause: int
+) -> None:
     case = Inconsistent()
     case.fusion.corrected[0] = -0.002
     record, *path = (case.fusion, *field.split("."))
