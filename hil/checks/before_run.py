@@ -1,4 +1,4 @@
-"""Lines that are said before a run: what its bench does not show, and what its verdict cannot reach."""
+"""Lines that are printed before a run: what its bench does not show, and what its verdict cannot reach."""
 
 from __future__ import annotations
 

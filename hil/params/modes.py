@@ -1,4 +1,4 @@
-"""Bending modes and slosh that the GNC knows: what firings make of them, and how control stays clear of them.
+"""Bending modes and slosh that the GNC accounts for: what firings make of them, and how control stays clear of them.
 
 A mode with the part f of an axis's inertia, or mass, and the frequency Omega on a hub that does not move swings with
 Omega / sqrt(1 - f). A firing that changes the rate by d makes the hub swing by f / (1 - f) d about it (Likins, JPL

@@ -106,7 +106,7 @@ PATTERNS = {word: re.compile(rf"(?<![\w/-])(?:{pattern})(?![\w-])", re.IGNORECAS
 ANY = re.compile(rf"(?<![\w/-])(?:{'|'.join(WORDS.values())})(?![\w-])", re.IGNORECASE)
 
 # legitimate uses of these words, removed from a line before it is checked: terms of the field, titles, physical objects
-ALLOWED = re.compile(r"rate keeper|hand-eye|in other words|beside the (?:recording|file)", re.IGNORECASE)
+ALLOWED = re.compile(r"rate keeper|hand-eye|space station|in other words|beside the (?:recording|file)", re.IGNORECASE)
 
 
 class Finding(NamedTuple):
