@@ -20,7 +20,7 @@ class BeforeRun(NamedTuple):
 
 
 def before_run(scenario: Scenario, rig: Rig, length_s: float, seed: int | None = None) -> BeforeRun:
-    """Return what is said before a run of ``length_s``; arguments: see ``ephemeris_limit``."""
+    """Return the lines before a run of ``length_s``; arguments: see ``ephemeris_limit``."""
     ephemeris = ephemeris_warnings(scenario, rig, length_s, seed)
     return BeforeRun(
         [*observed_by(scenario, rig), *unseen_warnings(scenario, rig), *go_warnings(scenario, rig), *ephemeris],

@@ -42,7 +42,7 @@ NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height")
 }
 """Keys of cameras, scenes and requirements in the notation of their field -> unit."""
 UNKNOWN_UNIT: Final = "?"
-"""Unit of a number whose name does not say it: of keys of other packages alone."""
+"""Unit of a number whose name has none: of keys of other packages alone."""
 
 
 class KeyRow(NamedTuple):
@@ -120,7 +120,7 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
 
 
 def unit_of(name: str, kind: str) -> str:
-    """Return the unit of a key, "" for a number without one or another type, UNKNOWN_UNIT if the name does not say."""
+    """Return the unit of a key, "" for a number without one or another type, UNKNOWN_UNIT if its name has none."""
     if name in NOTATION:
         return NOTATION[name]
     if "number" not in kind:

@@ -73,7 +73,7 @@ def swing_allowance(scenario: Scenario, pulse: Array, lead_s: Array) -> Array:
 
 
 def correction_rates(scenario: Scenario, rates: Array, tolerance: Array, rate_max: Array) -> Array:
-    """Return ``rates`` (6,), m/s, rad/s, at most those after which no mode swings beyond a share of the tolerances."""
+    """Return ``rates`` (6,), m/s, rad/s, at most those after which no mode swings beyond part of the tolerances."""
     most = np.asarray(rates, dtype=float)
     for mode in scenario.gnc.modes.values():
         off, rate = swing_of(scenario, mode).of_rate(1.0)

@@ -1,4 +1,4 @@
-"""Ten chasers from a CubeSat of 6 kg to a station of 400 t: each can fly its plan, may have a go, and flies it.
+"""Ten chasers from a CubeSat of 6 kg to a space station of 400 t: each can fly its plan, may have a go, and flies it.
 
 The flights take a minute of a core: ``pytest -m slow tests/system/test_chasers.py``.
 """
@@ -33,7 +33,7 @@ def test_chasers_cover_five_decades_of_mass() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHASERS)
-def test_chaser_is_accepted_and_nobody_is_accused(name: str) -> None:
+def test_chaser_is_accepted_and_no_device_is_accused(name: str) -> None:
     for seed in (1, 2):
         run = hil.run(name, seed=seed)
         assert run.accepted

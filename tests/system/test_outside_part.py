@@ -96,7 +96,7 @@ def test_test_of_the_written_package_passes_unchanged(package: Path, site: Path)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=package)
     assert done.returncode == 0, done.stdout
-    assert "3 passed" in done.stdout
+    assert "4 passed" in done.stdout
 
 
 def test_part_is_listed_with_its_command_and_its_keys(flown: Sequence[Done]) -> None:
@@ -108,7 +108,7 @@ def test_part_is_listed_with_its_command_and_its_keys(flown: Sequence[Done]) -> 
         "commands": ["ranging"],
         "tables": ["ranging"],
     }
-    rate, longest = json.loads(flown[1].out)["keys"]
+    rate, longest, alarm = json.loads(flown[1].out)["keys"]
     assert (rate["key"], rate["unit"], rate["allowed"], rate["default"]) == (
         "ranging.rate_hz",
         "Hz",
@@ -116,7 +116,7 @@ def test_part_is_listed_with_its_command_and_its_keys(flown: Sequence[Done]) -> 
         "`10.0`",
     )
     assert rate["meaning"] == "Samples per second, at most one per cycle."
-    assert longest["key"] == "ranging.range_max_m"
+    assert (longest["key"], alarm["key"]) == ("ranging.range_max_m", "ranging.alarm_below_m")
 
 
 def test_run_has_section_numbers_and_rows(flown: Sequence[Done], folder: Path) -> None:

@@ -77,7 +77,7 @@ SWING_STATE = np.dtype(
     ],
     align=True,
 )
-"""Oscillation of the specific force without thrust: a flexible mode or slosh that the filters do not know."""
+"""Oscillation of the specific force without thrust: a flexible mode or slosh that the filters do not model."""
 
 THRUST_STATE = np.dtype(
     [

@@ -1,4 +1,4 @@
-"""Bending modes and slosh that the GNC knows: control stays clear of them, or the scenario is refused."""
+"""Bending modes and slosh in the tables of the GNC: control stays clear of them, or the scenario is refused."""
 
 from __future__ import annotations
 

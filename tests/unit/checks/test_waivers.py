@@ -269,13 +269,15 @@ PROTECTS = re.compile(
 NO_PROTECTION = {
     r"drive_following|mechanics\.|sign_off\.": "of emulated drives, or what was measured",
     r"jerk_max|exchange_rate_max": "smoothness and load of the wires: an axis within speed and acceleration is safe",
+    r"rig\.(target_)?arm\.(kuka|abb)_": "of packages of robots, with ranges of their own; controllers have limits too",
     r"rig\.tracker\.": "within ranges of their own; a tracker protects the verdict, the bench is held either way",
     r"drift_check\.": "of a measurement that the operator starts; its result has its own probability",
     r"enable_timeout": "a drive that is not enabled does not move",
     r"exchange_max_s|late_wakeup": "counted in reports alone",
     r"lock_step_timeout|reply_timeout_fraction": "of simulated time, or a fraction of a cycle with its own bounds",
-    r"deadband_sigmas|exposure_max_s|range_max_m|status_bits|map\.|limit_cycle|settle": "no limit: control, camera, "
-    "range of a sensor, bits on a wire, motion of the target",
+    r"pair_within_s": "which images of two cameras are of one moment",
+    r"deadband_sigmas|exposure_max_s|range_max_m|status_bits|map\.|limit_cycle|settle": "no limit: control, "
+    "camera, range of a sensor, bits on a wire, motion of the target",
 }
 
 

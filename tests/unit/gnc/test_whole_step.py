@@ -62,8 +62,8 @@ def test_estimate_that_is_marked_invalid_has_no_protection_level() -> None:
     [
         ("protection_level_m", (0.1, -0.2, 0.1), "protection_level_m[1] is -0.2, allowed 0 and more"),
         ("protection_level_rad", -1.0, "protection_level_rad is -1, allowed 0 and more"),
-        ("health", 256, "health 256, allowed 0 to 255"),
-        ("health", -1, "health -1, allowed 0 to 255"),
+        ("health", 512, "health 512, allowed 0 to 511"),
+        ("health", -1, "health -1, allowed 0 to 511"),
         ("estimate", 2, "estimate 2, allowed 0, 1"),
         ("direct", 2, "direct 2, allowed 0, 1"),
         ("torque", (0, -2, 0), "torque demand about y is -2, allowed -1, 0, 1"),

@@ -62,8 +62,8 @@ Parts = Annotated[Names, Check(_parts_problem)]
 
 
 @dataclass(frozen=True)
-class InitialGuessOptions:
-    """Options of target and initial values."""
+class BoardOptions:
+    """Options of a board."""
 
     board: str | None = None
     """Inner corners of the chessboard that is the target, 11x8; with --marker-mm the squares of a ChArUco board;
@@ -74,6 +74,17 @@ class InitialGuessOptions:
     """Side of a marker: the board is a ChArUco board, which need not be completely visible."""
     dictionary: str = "4X4_50"
     """With --marker-mm: dictionary of the markers, in OpenCV's notation."""
+
+
+_BOARD = BoardOptions()
+
+
+@dataclass(frozen=True)
+class InitialGuessOptions:
+    """Options of target and initial values."""
+
+    target: Group[BoardOptions] = _BOARD
+    """Board that is the target."""
     rig: str = "mock"
     """mock, emulated, or the path of a rig file: lever arm, gimbals, nominal mounting and LEDs."""
     geometry: str | None = None
@@ -96,7 +107,7 @@ class InitialGuessOptions:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        return _board_problems(self)
+        return _board_problems(self.target)
 
 
 @dataclass(frozen=True)
@@ -250,7 +261,7 @@ def calibrate(
 
 def _drive_problems(views: str, start: InitialGuessOptions, driving: DriveOptions) -> list[Problem]:
     problems = []
-    if start.board is not None:
+    if start.target.board is not None:
         problems.append(Problem("--drive", "", "goes without --board: the target is the LED ring"))
     if driving.near_m >= driving.far_m:
         problems.append(Problem("--near-m", "", f"{driving.near_m:g}: must be less than --far-m {driving.far_m:g}"))
@@ -323,7 +334,7 @@ def _calibrate(
     rig = load_rig(start.rig, settings)
     guess = start.geometry is not None
     geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
-    board = _board(start)
+    board = _board(start.target)
     loaded = hand_held.read_pairs(Path(views)) if start.hand_held else read_views(Path(views))
     read = what_was_read([image for pair in loaded.images for image in pair])
     identities = _identities(Path(views), geometry.identities, start.geometry or start.rig, result.date)
@@ -426,7 +437,11 @@ def _television_problems(start: InitialGuessOptions, scene_out: str | None, othe
     if start.scene is None:
         return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []
     problems = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
-    return problems if start.board is not None else [*problems, Problem("--scene", "", "needs --board and --square-mm")]
+    return (
+        problems
+        if start.target.board is not None
+        else [*problems, Problem("--scene", "", "needs --board and --square-mm")]
+    )
 
 
 def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -> list[Problem]:
@@ -434,7 +449,7 @@ def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -
         return []
     given = [name for name in ("rig-out", "check", "drive") if others[name]]
     problems = [Problem("--hand-held", "", f"goes without --{name}") for name in given]
-    if start.board is None and start.geometry is None:
+    if start.target.board is None and start.geometry is None:
         text = "needs --board and --square-mm; or, for the layout of the LEDs, --geometry with the calibrated cameras"
         problems.append(Problem("--hand-held", "", text))
     return problems
@@ -447,7 +462,9 @@ def _one_camera_problems(start: InitialGuessOptions, result: ResultOptions) -> l
     given = {"scene": start.scene, "keep": start.keep, "rig-out": result.rig_out, "figure": result.figure}
     problems = [Problem("--camera", "", f"goes without --{name}") for name, value in given.items() if value]
     return (
-        problems if start.board is not None else [*problems, Problem("--camera", "", "needs --board and --square-mm")]
+        problems
+        if start.target.board is not None
+        else [*problems, Problem("--camera", "", "needs --board and --square-mm")]
     )
 
 
@@ -459,7 +476,7 @@ def _fit_of(
     from hil.vmu.calibration.single_camera import board_images, fit_camera, images_of_camera
     from hil.vmu.calibration.views import what_was_read
 
-    board = _board(start)
+    board = _board(start.target)
     assert board is not None
     paths = images_of_camera(folder, side)
     with ProgressBar(notices(), "reading the images") as bar:
@@ -544,27 +561,27 @@ def _check(
     loaded = read_views(Path(views))
     loaded = replace(loaded, axes=ideal_axes(load_rig(start.rig, settings).value, loaded.axes))
     with ProgressBar(notices(), "reading the views") as bar:
-        checked = job.check(loaded, stored, _board(start), drift.moved, limits.range_m, bar.show)
+        checked = job.check(loaded, stored, _board(start.target), drift.moved, limits.range_m, bar.show)
     allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)
     deliver(drift_as_json(checked, allowed), json_path, lambda: print_check(checked, allowed, Console()))
     return _FAILED if checked.refusal(allowed)[0] else _PASSED
 
 
-def _board(start: InitialGuessOptions) -> Board | None:
+def _board(target: BoardOptions) -> Board | None:
     from hil.vmu.calibration.board import Board
 
-    if start.board is None or start.square_mm is None:
+    if target.board is None or target.square_mm is None:
         return None
-    columns, rows = (int(number) for number in start.board.split("x"))
-    if start.marker_mm is None:
-        return Board(columns, rows, 1e-3 * start.square_mm)
-    return Board(columns - 1, rows - 1, 1e-3 * start.square_mm, 1e-3 * start.marker_mm, start.dictionary)
+    columns, rows = (int(number) for number in target.board.split("x"))
+    if target.marker_mm is None:
+        return Board(columns, rows, 1e-3 * target.square_mm)
+    return Board(columns - 1, rows - 1, 1e-3 * target.square_mm, 1e-3 * target.marker_mm, target.dictionary)
 
 
-def _board_problems(start: InitialGuessOptions) -> list[Problem]:
-    board, square_mm = start.board, start.square_mm
+def _board_problems(target: BoardOptions) -> list[Problem]:
+    board, square_mm = target.board, target.square_mm
     if board is None:
-        given = {"square-mm": square_mm, "marker-mm": start.marker_mm}
+        given = {"square-mm": square_mm, "marker-mm": target.marker_mm}
         return [
             Problem(f"--{name}", "", "goes with --board only") for name, value in given.items() if value is not None
         ]
@@ -578,23 +595,23 @@ def _board_problems(start: InitialGuessOptions) -> list[Problem]:
     if match is None:
         return [Problem("--board", "", f"{board}: must be COLUMNSxROWS of inner corners, as 11x8")]
     columns, rows = (int(number) for number in match.groups())
-    if start.marker_mm is not None and square_mm is not None:
-        return _charuco_problems(start, columns, rows)
+    if target.marker_mm is not None and square_mm is not None:
+        return _charuco_problems(target, columns, rows)
     if columns == rows or min(columns, rows) < 3:
         text = "columns and rows must be at least 3 and differ, or the orientation of the board is ambiguous"
         return [Problem("--board", "", f"{board}: {text}")]
     return [Problem("--square-mm", "", "is missing: the side of a square, measured")] if square_mm is None else []
 
 
-def _charuco_problems(start: InitialGuessOptions, columns: int, rows: int) -> list[Problem]:
+def _charuco_problems(target: BoardOptions, columns: int, rows: int) -> list[Problem]:
     """Return the problems of a ChArUco board of ``columns`` x ``rows`` squares."""
     from hil.vmu.prints import CharucoSettings, checked
 
-    assert start.square_mm is not None
-    assert start.marker_mm is not None
-    sides = {"square_m": 1e-3 * start.square_mm, "marker_m": 1e-3 * start.marker_mm}
+    assert target.square_mm is not None
+    assert target.marker_mm is not None
+    sides = {"square_m": 1e-3 * target.square_mm, "marker_m": 1e-3 * target.marker_mm}
     try:
-        checked(CharucoSettings, {"dictionary": start.dictionary, "columns": columns, "rows": rows, **sides})
+        checked(CharucoSettings, {"dictionary": target.dictionary, "columns": columns, "rows": rows, **sides})
     except BadInput as error:
         return [Problem("--board", "", f"{p.key.rpartition('.')[2]}: {p.message}") for p in error.problems]
     return []
