@@ -195,7 +195,7 @@ class FoxgloveClients:
         if "seen_s" not in request and request.get("order") not in WITHOUT_COMMAND:
             if request["do"] == "jog":
                 return {"ok": False, "text": "jog: seen_s is missing: wall_s of the newest message of /bench"}
-            if request["do"] in ("order", "open"):
+            if request["do"] in ("order", "open", "adjust"):
                 return await self._confirm(client, request)
         return await self._service.execute(client, {**request, "number": client.requests + 1})
 

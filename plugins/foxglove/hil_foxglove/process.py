@@ -70,6 +70,7 @@ SERVICES: Final[dict[str, dict[str, Any]]] = {
     "acknowledge": {},
     "jog": {"axis": TEXT, "direction": {"type": "integer"}, **_SEEN},
     "fault": {"device": TEXT, "line": TEXT},
+    "adjust": {"key": TEXT, "value": {"type": "number"}, **_DIGITS, **_SEEN},
 }
 """Services, each under ``/hil/``: the requests of the console with the properties of their JSON objects."""
 
@@ -228,15 +229,14 @@ class FoxgloveListener:
             return [Parameter(key, value=value) for key, value in self._settings.items() if not names or key in names]
 
     def on_set_parameters(self, client: Any, parameters: list[Any], request_id: str | None = None) -> list[Any]:
-        """Change settings as the console's page does, after the same checks; return all present values."""
+        """Ask for each change of a setting; return all present values.
+
+        A parameter carries no digits: one that a stalled network has held would act late. The service does.
+        """
         for parameter in parameters:
-            key, value = parameter.name, parameter.get_value()
-            reply = self._calls.ask(client.id, {"do": "adjust", "key": key, "value": value, "confirmed": True})
-            if reply["ok"]:
-                with self._lock:
-                    self._settings[key] = float(value)
-            else:
-                self.rejections.put(f"{key}: not changed: {reply.get('text', '')}")
+            reply = self._calls.ask(client.id, {"do": "adjust", "key": parameter.name, "value": parameter.get_value()})
+            ask = f"{reply['ask']} By /hil/adjust with key and value." if "ask" in reply else ""
+            self.rejections.put(f"{parameter.name}: not changed: {ask or reply.get('text', '')}")
         return self.parameters()
 
     def on_parameters_subscribe(self, names: list[str]) -> None: ...

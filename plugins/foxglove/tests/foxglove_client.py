@@ -108,9 +108,10 @@ class FoxgloveClient:
         """Call a service of JSON objects; return its answer."""
         return self.call_bytes(service, json.dumps(request).encode())
 
-    def confirm(self, service: str) -> dict[str, Any]:
+    def confirm(self, service: str, **request: Any) -> dict[str, Any]:
         """Call a service, and again with the digits of its question; return the answer to that."""
-        return self.call(service, confirmed=int(re.findall(r"\d\d", self.call(service)["ask"])[-1]))
+        digits = re.findall(r"confirmed (\d\d)", self.call(service, **request)["ask"])
+        return self.call(service, **request, confirmed=int(digits[-1]))
 
     def call_bytes(self, service: str, payload: bytes) -> dict[str, Any]:
         self.until(lambda: service in self.services, f"the service {service}")

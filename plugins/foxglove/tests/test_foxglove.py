@@ -42,7 +42,7 @@ def test_session_is_commanded_tuned_and_held_from_foxglove_and_replays_bit_by_bi
             for topic in ("/state", "/tf", "/vmu/frames", "/scene"):
                 ann.until(lambda topic=topic: bool(ann.of(topic)), topic)  # type: ignore[misc]
             assert bob.set_parameter(DEADBAND, 0.0004)[DEADBAND] != 0.0004
-            assert ann.set_parameter(DEADBAND, 0.0004)[DEADBAND] == 0.0004
+            assert ann.confirm("/hil/adjust", key=DEADBAND, value=0.0004)["ok"]
             bob.until(lambda: bool(bob.of("/bench")), "a message")
             assert bob.call("/hil/hold")["ok"]
             until("hold")

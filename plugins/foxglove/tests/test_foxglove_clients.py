@@ -222,7 +222,16 @@ def test_setting_changes_only_under_the_command_and_within_its_range(session: De
 
     client.until(lambda: bool(client.of(BENCH_TOPIC)), "a message")
     assert client.call("/hil/take", name="ann", code=CODE)["ok"]
-    assert client.set_parameter(DEADBAND, 0.0004)[DEADBAND] == 0.0004
+    client.statuses.clear()
+    assert client.set_parameter(DEADBAND, 0.0004)[DEADBAND] == before[DEADBAND]
+    client.until(lambda: bool(client.statuses), "the question")
+    digits = int(re.findall(r"Send confirmed (\d\d) within 5 s\. By /hil/adjust", client.statuses[-1])[-1])
+    asked = {"key": DEADBAND, "value": 0.0004}
+    assert "digits that are shown" in client.call("/hil/adjust", **asked, confirmed=True)["text"]
+    assert not session.orders
+    assert not client.call("/hil/adjust", **asked, confirmed=digits)["ok"]  # of a question before the last one
+    assert client.confirm("/hil/adjust", **asked)["ok"]
+    client.until(lambda: client.get_parameters()[DEADBAND] == 0.0004, "the new value")
     assert (session.orders[-1]["by"], session.orders[-1]["adjust"]["value"]) == ("ann", 0.0004)
     for value, reason in ((9.0, "during a run allowed"), ("x", "is not a number"), (True, "is not a number")):
         client.statuses.clear()
