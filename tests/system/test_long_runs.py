@@ -129,7 +129,7 @@ def test_ctrl_c_ends_a_run_between_two_cycles_so_that_each_recorded_one_counts()
 
 def test_parts_of_a_run_in_real_time_are_evaluated_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(assembly, "ROWS_MAX", 300)
-    job = replace(make_job(20.0, speed=10.0), paced=True)
+    job = replace(make_job(20.0, speed=2.5), paced=True)  # the computer may pause for a fifth of a second
     warm_up(job)
     found = runs.run_job(runs.RunRequest(job, "mock")).summary
     assert found["stop"] == "completed"
