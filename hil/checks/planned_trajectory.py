@@ -118,7 +118,8 @@ class _Slew:
 
     def __init__(self, scenario: Scenario) -> None:
         self._start = gnc_params.initial_rotation_vector(scenario)
-        self._rate = float(gnc_params.gnc(scenario).control.correction_rate[3:].min())
+        _, strength = gnc_params.allocation(scenario.chaser)
+        self._rate = float(gnc_params.control(scenario, strength).correction_rate[3:].min())
         self.ends_s = float(np.abs(self._start).max()) / self._rate
 
     def at(self, t_s: float) -> Array:

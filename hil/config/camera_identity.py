@@ -52,7 +52,7 @@ class CameraIdentity(ConfigModel):
         for key in type(self).model_fields:
             here, there = getattr(self, key), getattr(actual, key)
             if key != "date" and None not in (here, there) and here != there:
-                return key, _shown(here), _shown(there)
+                return key, json.dumps(here), json.dumps(there)
         return None
 
     @property
@@ -62,10 +62,6 @@ class CameraIdentity(ConfigModel):
 
 
 UNKNOWN: Final = CameraIdentity()
-
-
-def _shown(value: object) -> str:
-    return json.dumps(value)
 
 
 def identity_problem(
@@ -95,9 +91,7 @@ def check_folder(stated: Mapping[str, CameraIdentity | None], folder: Path, sour
     source: of the stated identities, for the error.
     """
     actual = read_identities(folder)
-    if problem := identity_problem(stated, actual):
-        name, key, here, there = problem
-        raise BadInput.single(source, f"{name}.identity.{key}", f"{here}: the images of {folder} have {there}")
+    check_same(stated, actual, source, f"the images of {folder} have")
     return identity_doubt(stated, actual)
 
 
@@ -105,9 +99,16 @@ def check_recorded(
     stated: Mapping[str, CameraIdentity | None], recorded: Mapping[str, CameraIdentity | None], source: str
 ) -> None:
     """Raise BadInput if the file ``source`` is of other cameras than those of a recording."""
-    if problem := identity_problem(stated, recorded):
+    check_same(stated, recorded, source, "the recording has")
+
+
+def check_same(
+    stated: Mapping[str, CameraIdentity | None], actual: Mapping[str, CameraIdentity | None], source: str, what: str
+) -> None:
+    """Raise BadInput if ``actual`` are other cameras than the file ``source`` has; ``what``: "the recording has"."""
+    if problem := identity_problem(stated, actual):
         name, key, here, there = problem
-        raise BadInput.single(source, f"{name}.identity.{key}", f"{here}: the recording has {there}")
+        raise BadInput.single(source, f"{name}.identity.{key}", f"{here}: {what} {there}")
 
 
 def read_identities(folder: Path) -> dict[str, CameraIdentity | None]:

@@ -9,6 +9,7 @@ import numpy as np
 from hil.core.files import MIB
 
 IMAGE_BYTES: Final = 64 * MIB
+IMAGE_SUFFIXES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 VIDEO_BYTES: Final = 1 << 40
 
 

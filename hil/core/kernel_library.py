@@ -174,7 +174,7 @@ class _Compiler(Compiler):
 
     def _compile_bytecode(self) -> Any:
         identity = self.state.func_id
-        if not allocates(identity.func):  # counting references was a fifth of a cycle
+        if not allocates(identity.func):  # counting references was a tenth of a cycle
             self.state.flags.nrt = self.state.targetctx.enable_nrt = False
         try:
             identity.unique_id = self.number_of(identity.func)

@@ -27,6 +27,8 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES, SENSOR_SUSPECT, CAUSE_UNKNOWN = 10, 11, 12, 13, 14
+FIRST_BITS = UNPROTECTED - FIRST_HEALTH_CAUSE
+"""Bits of health whose causes follow ``FIRST_HEALTH_CAUSE``; those of further bits follow ``HELD_TOO_LONG``."""
 _CONVERGED_SHARE = 0.85  # of an alert limit
 _ROOT_2 = math.sqrt(2.0)
 _FAR = 0.6  # of the corridor's radius, from the plan at the start

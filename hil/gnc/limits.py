@@ -28,7 +28,7 @@ LIMITS: Final = 17
 NO_TERM: Final = 0
 NAVIGATION_ERROR, CONTROL_ERROR, PROTECTION_LEVEL = range(1 + LEVEL_TERMS, 4 + LEVEL_TERMS)
 """Terms of a value; those before them are the terms of a protection level, ``LEVEL_TERMS``."""
-HEALTH_BITS: Final = 9
+HEALTH_BITS: Final = len(GncHealth)
 VISION_LOST: Final = GncHealth.VISION_LOST.value
 
 LIMITS_PARAMS = np.dtype(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.gnc import approach_monitor, guidance
 from hil.gnc.approach_monitor import (
@@ -16,6 +17,7 @@ from hil.gnc.approach_monitor import (
     BENCH_DISAGREES,
     BREAK,
     CORRIDOR,
+    FIRST_BITS,
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
     NOT_ABORTED,
@@ -24,7 +26,7 @@ from hil.gnc.approach_monitor import (
 from hil.gnc.estimation.integrity import LEVEL_TERMS
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
-HEALTH_BITS = 9
+HEALTH_BITS = len(GncHealth)
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # kinds of phases
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
@@ -122,8 +124,8 @@ def cause_of(condition):
     """Return the cause of an abort for a condition: a bit of health, or after these the protection level."""
     if condition == HEALTH_BITS:
         return UNPROTECTED
-    if condition >= 6:
-        return BENCH_DISAGREES + condition - 6  # further sensors and an unknown cause follow
+    if condition >= FIRST_BITS:
+        return BENCH_DISAGREES + condition - FIRST_BITS
     return FIRST_HEALTH_CAUSE + condition
 
 

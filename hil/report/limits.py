@@ -22,6 +22,7 @@ from hil.core.gnc_records import GncHealth
 from hil.gnc.approach_monitor import (
     BENCH_DISAGREES,
     CAUSE_UNKNOWN,
+    FIRST_BITS,
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
     ORDERED,
@@ -53,7 +54,7 @@ _CAUSES: Final = {
     BENCH_DISAGREES: "bench_disagrees",
     SENSOR_SUSPECT: "sensor_suspect",
     CAUSE_UNKNOWN: "cause_unknown",
-} | {FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:6])}
+} | {FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:FIRST_BITS])}
 _PARTS: Final = (
     dict.fromkeys(("corridor", "closing_rate"), "security")
     | dict.fromkeys((*(f"error_{d}" for d in _DIRECTIONS), "keep_out"), "integrity")

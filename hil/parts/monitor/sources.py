@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hil.config.load import Loaded
 from hil.config.scene import Scene
 from hil.core.files import read_bytes
-from hil.core.image_files import IMAGE_BYTES, decode_grey
+from hil.core.image_files import IMAGE_BYTES, IMAGE_SUFFIXES, decode_grey
 from hil.core.video import Video
 from hil.errors import BadInput
 
@@ -35,7 +35,6 @@ WHOLE: Final = 0
 UPPER: Final = 1  # lines 0, 2, 4 ...
 LOWER: Final = 2  # lines 1, 3, 5 ...
 
-_IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
 _RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
 _SAME_RATE: Final = 5e-4  # relative: a file with another rate has its own times
@@ -200,9 +199,9 @@ def _check_fields(order: str, path: Path, scene: Loaded[Scene]) -> None:
 
 
 def _folder(path: Path, scene: Loaded[Scene]) -> Source:
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _IMAGES and file.is_file())
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and file.is_file())
     if not files:
-        raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(_IMAGES))}")
+        raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(IMAGE_SUFFIXES))}")
     slots = _slots(files)
     ordered = sorted(zip(slots, files, strict=True))
     return Source(str(path), scene.value, _folder_images(ordered, scene), len(files), stamped=False)

@@ -113,11 +113,11 @@ def _refined(image: np.ndarray, corners: Array, board: Board) -> Array:
     half = int(np.clip(window * apart, 2, 11))
     seen = np.isfinite(corners[:, 0])
     start = corners[seen].astype(np.float32).reshape(-1, 1, 2)
-    found = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _UNTIL), float).reshape(-1, 2)
+    saddles = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _UNTIL), float).reshape(-1, 2)
     # a corner that moves far has met the board's edge or a speck
-    near = np.linalg.norm(found - corners[seen], axis=1, keepdims=True) < _FARTHEST_PX
+    near = np.linalg.norm(saddles - corners[seen], axis=1, keepdims=True) < _FARTHEST_PX
     refined = corners.copy()
-    refined[seen] = np.where(near, found, corners[seen])
+    refined[seen] = np.where(near, saddles, corners[seen])
     return refined
 
 

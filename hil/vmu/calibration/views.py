@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.csv_table import read_csv
 from hil.core.files import MIB, read_bytes
-from hil.core.image_files import IMAGE_BYTES, decode_grey, depth_note
+from hil.core.image_files import IMAGE_BYTES, IMAGE_SUFFIXES, decode_grey, depth_note
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 
@@ -21,7 +21,6 @@ COLUMNS: Final = ("view", "rail_x_m", "rail_y_m", "rail_z_m", "roll_deg", "pitch
 _TABLE_BYTES: Final = 4 * MIB
 IMAGE_COLUMNS: Final = ("left", "right")
 _LONGEST_M: Final = 100.0
-_IMAGE: Final = re.compile(r"\.(png|bmp|tif|tiff|pgm|jpg|jpeg)$", re.IGNORECASE)
 _SIDE: Final = re.compile(r"(left|right|(?:^|(?<=[_\-. ]))(?:l|r|cam_?[01])(?=$|[_\-. ]))", re.IGNORECASE)
 _SIDES: Final = {"left": 0, "l": 0, "cam0": 0, "right": 1, "r": 1, "cam1": 1}
 """Names of the cameras in the names of folders and files."""
@@ -44,7 +43,9 @@ class Views:
 def images_of(folder: Path) -> tuple[Path, ...]:
     """Return the images in ``folder``, in the order of their names; none without such a folder."""
     paths = folder.iterdir() if folder.is_dir() else ()
-    return tuple(sorted(path for path in paths if _IMAGE.search(path.name) and not path.name.startswith(".")))
+    return tuple(
+        sorted(path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."))
+    )
 
 
 def sides_of(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:

@@ -176,16 +176,16 @@ def identity(
     if not Path(out).is_dir():
         problems.append(Problem("--out", "", f"{out}: give a folder that exists"))
     refuse(problems)
-    found = {}
+    identities = {}
     for name, camera in {MONITOR_CAMERA: left}.items() if right is None else {"left": left, "right": right}.items():
         opened = open_camera_of(camera, options)
         try:
-            found[name] = opened.identity
+            identities[name] = opened.identity
         finally:
             opened.close()
-    write_identities(found, Path(out))
+    write_identities(identities, Path(out))
     console = Console()
-    for name, each in found.items():
+    for name, each in identities.items():
         stated = ", ".join(f"{key} {value}" for key, value in each.model_dump(exclude_none=True).items())
         console.print(f"{name}: {stated or 'the camera reports nothing of itself'}", highlight=False, soft_wrap=True)
     console.print(str(Path(out) / CAMERAS_FILE), highlight=False)

@@ -109,6 +109,10 @@ class InitialGuessOptions:
         """Return a problem for each option that cannot be used."""
         return _board_problems(self.target)
 
+    def board_missing(self, option: str) -> list[Problem]:
+        """Return a problem if ``option``, which needs a board, is given without one."""
+        return [] if self.target.board is not None else [Problem(option, "", "needs --board and --square-mm")]
+
 
 @dataclass(frozen=True)
 class ResultOptions:
@@ -437,11 +441,7 @@ def _television_problems(start: InitialGuessOptions, scene_out: str | None, othe
     if start.scene is None:
         return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []
     problems = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
-    return (
-        problems
-        if start.target.board is not None
-        else [*problems, Problem("--scene", "", "needs --board and --square-mm")]
-    )
+    return [*problems, *start.board_missing("--scene")]
 
 
 def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -> list[Problem]:
@@ -461,11 +461,7 @@ def _one_camera_problems(start: InitialGuessOptions, result: ResultOptions) -> l
         return []
     given = {"scene": start.scene, "keep": start.keep, "rig-out": result.rig_out, "figure": result.figure}
     problems = [Problem("--camera", "", f"goes without --{name}") for name, value in given.items() if value]
-    return (
-        problems
-        if start.target.board is not None
-        else [*problems, Problem("--camera", "", "needs --board and --square-mm")]
-    )
+    return [*problems, *start.board_missing("--camera")]
 
 
 def _fit_of(
