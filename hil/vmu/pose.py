@@ -29,7 +29,7 @@ from hil.vmu.kernels.records import CELLS, FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPO
 from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
-_MOST_TRIPLES, _TRIPLES_PER_START = 18_000, 15  # pairings of three spots with three LEDs for a pair: about 40 ms
+_MOST_TRIPLES, _TRIPLES_PER_START = 14_000, 15  # pairings of three spots with three LEDs for a pair: about 40 ms
 _COARSE = 5.0  # sigmas
 _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
