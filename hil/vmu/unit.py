@@ -19,6 +19,7 @@ from hil.maths import quat
 from hil.vmu import refusals
 from hil.vmu.consistency import Consistency
 from hil.vmu.detect import SpotDetector
+from hil.vmu.flicker import Flicker
 from hil.vmu.ghosts import LensGhosts
 from hil.vmu.identify import (
     AMBIGUOUS,
@@ -187,6 +188,7 @@ class VisionUnit:
         self._jump = Track(self.track.settings)
         self._sample = LongSample()
         self._identifier = Identifier(self.solver, geometry.marked_led)
+        self._flicker = tuple(Flicker(camera.row_time_s or 0.0) for camera in (geometry.left, geometry.right))
         self._vibration = Vibration(geometry.tolerances.vibration_px)
         self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
@@ -214,7 +216,12 @@ class VisionUnit:
         expected = prediction or self.track.predict(t_s)
         self.solver.begin_pair(self.track.motion(t_s), self._vibration.sigma_px)
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
-        return solution or self._by_search(images, t_s, expected)
+        solution = solution or self._by_search(images, t_s, expected)
+        for camera, lights in zip(self._flicker, solution.spots, strict=True):
+            camera.add(lights)
+        if solution.status in (OK, SUSPECT) or not (why := next(filter(None, (c.reason() for c in self._flicker)), "")):
+            return solution
+        return replace(solution, doubt=Doubt(why))
 
     @property
     def ghosts(self) -> tuple[LensGhosts, ...]:
