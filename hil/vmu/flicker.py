@@ -67,4 +67,3 @@ def _explained(t_s: Array, flux: Array, tried_hz: Array) -> tuple[Array, float]:
     basis -= basis.mean(axis=1, keepdims=True)
     fits = np.linalg.pinv(basis) @ left
     return np.square(np.einsum("fnk,fk->fn", basis, fits)).sum(axis=1), float(left @ left)
-

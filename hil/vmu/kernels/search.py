@@ -192,7 +192,7 @@ def detect(frame, windows, steps, spots, noise):
             continue
         frame.work[1] = frame.work[0] * (1.0 - 1.0 / min(max(n_components, 4), _SHARES)) - _LEAST_WORK
         component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])
-        if lights[k, 2] > 0.0:
+        if lights[k, 2] > 0.0 and frame.work[0] > 0.0:
             flatten(frame.image, components[k], component.background, flat.image)
             count = measure(flat, component, spots, count, noise[k])
         else:

@@ -1,6 +1,6 @@
 """Light on a background that continues on both sides of it: on a cable, a bar of a window, next to the edge of a wall.
 
-Along the direction in which both sides look most alike, what lies behind the light is interpolated between them.
+What lies behind the light is interpolated between both sides, along the direction that explains its surroundings best.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from hil.vmu.kernels.components import U0, U1, V0, V1
 
 _CLEAR_PX = 6.0  # beyond the pixels above the threshold, from which on a light is dark
 _DIRECTIONS = 24
-_LINES = 5  # of which a side is the mean
+_LINES = 3  # of which a side is the mean
+_RING_PX = 3.0
 _BESIDE_PX = 8  # over which the background of a fit extends beyond
 _MARGIN_PX = 40
 
@@ -31,12 +32,8 @@ def sample(image, u, v):
 
 @kernel
 def fill_sides(image, u, v, angle, reach, sides):
-    """Write the levels across the line through (u, v) at ``angle``, ``reach`` px before and behind it, to sides (2, n).
-
-    Return by how much they differ on the whole over the light.
-    """
+    """Write the levels across a line through (u, v) at ``angle``, ``reach`` px before and behind it, to sides (2, n)."""
     along_u, along_v, middle = math.cos(angle), math.sin(angle), sides.shape[1] // 2
-    apart = 0.0
     for n in range(sides.shape[1]):
         for side in range(2):
             total = 0.0
@@ -44,9 +41,28 @@ def fill_sides(image, u, v, angle, reach, sides):
                 a, c = (reach + k) * (2 * side - 1), n - middle
                 total += sample(image, u + a * along_u - c * along_v, v + a * along_v + c * along_u)
             sides[side, n] = total / _LINES
-        if abs(n - middle) <= reach:
-            apart += abs(sides[1, n] - sides[0, n])
-    return apart
+
+
+@kernel
+def level_between(sides, angle, reach, x, y):
+    """Return the level at (x, y) from the light, interpolated between its ``sides`` along ``angle``."""
+    along_u, along_v = math.cos(angle), math.sin(angle)
+    c = y * along_u - x * along_v + sides.shape[1] // 2
+    n, part = int(c), min(max(0.5 + 0.5 * (x * along_u + y * along_v) / reach, 0.0), 1.0)
+    before = sides[0, n] + (c - n) * (sides[0, n + 1] - sides[0, n])
+    return before + part * (sides[1, n] + (c - n) * (sides[1, n + 1] - sides[1, n]) - before)
+
+
+@kernel
+def unexplained(image, u, v, sides, angle, reach):
+    """Return by how much the surroundings of a light at (u, v) differ from what its ``sides`` along ``angle`` make."""
+    total, least = 0.0, reach - _RING_PX
+    for i in range(max(int(v - reach), 0), min(int(v + reach) + 1, image.shape[0])):
+        for j in range(max(int(u - reach), 0), min(int(u + reach) + 1, image.shape[1])):
+            x, y = j - u, i - v
+            if least * least < x * x + y * y < reach * reach:
+                total += abs(image[i, j] - level_between(sides, angle, reach, x, y))
+    return total
 
 
 @kernel
@@ -60,22 +76,17 @@ def flatten(image, row, level, out):
     for i in range(max(int(v) - around, 0), min(int(v) + around + 1, rows)):
         for j in range(max(int(u) - around, 0), min(int(u) + around + 1, columns)):
             out[i, j] = image[i, j]
-    middle = 2 * wide
-    sides, tried = np.empty((2, 2 * middle + 1)), np.empty((2, 2 * middle + 1))
+    middle = 3 * wide // 2 + 1
+    sides = np.empty((2, 2 * middle + 1))
     least, angle = np.inf, 0.0
     for d in range(_DIRECTIONS):
-        apart = fill_sides(image, u, v, math.pi * d / _DIRECTIONS, reach, tried)
+        fill_sides(image, u, v, math.pi * d / _DIRECTIONS, reach, sides)
+        apart = unexplained(image, u, v, sides, math.pi * d / _DIRECTIONS, reach)
         if apart < least:
             least, angle = apart, math.pi * d / _DIRECTIONS
     fill_sides(image, u, v, angle, reach, sides)
-    along_u, along_v = math.cos(angle), math.sin(angle)
     for i in range(max(int(v) - wide, 0), min(int(v) + wide + 1, rows)):
         for j in range(max(int(u) - wide, 0), min(int(u) + wide + 1, columns)):
-            if image[i, j] == 255:
-                continue
-            a, c = (j - u) * along_u + (i - v) * along_v, (i - v) * along_u - (j - u) * along_v + middle
-            n, part = int(c), min(max(0.5 + 0.5 * a / reach, 0.0), 1.0)
-            before = sides[0, n] + (c - n) * (sides[0, n + 1] - sides[0, n])
-            behind = sides[1, n] + (c - n) * (sides[1, n + 1] - sides[1, n])
-            flat = image[i, j] - (before + part * (behind - before)) + level
-            out[i, j] = np.uint8(min(max(round(flat), 0), 254))
+            if image[i, j] < 255:
+                flat = image[i, j] - level_between(sides, angle, reach, j - u, i - v) + level
+                out[i, j] = np.uint8(min(max(round(flat), 0), 254))
