@@ -32,7 +32,7 @@ def sample(image, u, v):
 
 @kernel
 def fill_sides(image, u, v, angle, reach, sides):
-    """Write the levels across a line through (u, v) at ``angle``, ``reach`` px before and behind it, to sides (2, n)."""
+    """Write the levels across the line at ``angle``, ``reach`` px before and behind (u, v), to sides (2, n)."""
     along_u, along_v, middle = math.cos(angle), math.sin(angle), sides.shape[1] // 2
     for n in range(sides.shape[1]):
         for side in range(2):
