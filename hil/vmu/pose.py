@@ -14,7 +14,7 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
 from hil.vmu.kernels.budget import chi_square_growth, equations, fill_shared
-from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows, mark_near
+from hil.vmu.kernels.match import assign, chi_square_limit, fill_view, led_windows
 from hil.vmu.kernels.pose_search import (
     SEARCH,
     STATE_FITS,
@@ -151,9 +151,7 @@ class Solver:
             chosen = np.arange(len(spots))
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
-            for k, index in enumerate(chosen):
-                fill_spot_ray(self.scene.lens[c], self.slack[c], spots[index], rays[c, k])
-                mark_near(self.scene.lens[c], rays[c, k], near[c])
+            fill_view(self.scene.lens[c], self.slack[c], spots, chosen, rays[c], near[c])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order, near)

@@ -174,9 +174,6 @@ def detect(frame, windows, steps, spots, noise):
     most = noise.shape[0]
     components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
     lights = np.empty((most, 3))
-    flat = Frame(
-        np.empty_like(frame.image), frame.label, frame.queue, frame.limits, frame.per_level, frame.last, frame.work
-    )  # fmt: skip
     n_components = STEPS
     if not steps and windows.shape[0] == 0:
         n_components = components_of_image(frame, components, lights)
@@ -193,8 +190,10 @@ def detect(frame, windows, steps, spots, noise):
         frame.work[1] = frame.work[0] * (1.0 - 1.0 / min(max(n_components, 4), _SHARES)) - _LEAST_WORK
         component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])
         if lights[k, 2] > 0.0 and frame.work[0] > 0.0:
-            flatten(frame.image, components[k], component.background, flat.image)
-            count = measure(flat, component, spots, count, noise[k])
+            flat = np.empty_like(frame.image)
+            flatten(frame.image, components[k], component.background, flat)
+            other = Frame(flat, frame.label, frame.queue, frame.limits, frame.per_level, frame.last, frame.work)
+            count = measure(other, component, spots, count, noise[k])
         else:
             count = measure(frame, component, spots, count, noise[k])
     for k in range(most):
