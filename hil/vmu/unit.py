@@ -442,7 +442,7 @@ class VisionUnit:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
         degrees, scale = residual_scale(fit)
         if doubt is None and scale > _LARGEST_SCALE:
-            doubt = Doubt(RESIDUALS, scale, "times those stated")
+            doubt = Doubt(RESIDUALS, scale, "times those stated: state spot_px, or calibrate")
         status = OK if doubt is None else SUSPECT
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
