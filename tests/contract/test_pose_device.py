@@ -356,6 +356,7 @@ def test_robot_shows_the_truth_and_its_verdict_is_that_of_rails(rig_file: str) -
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("lag_ms", [12.0, 20.0, 40.0])
 def test_lag_of_a_robot_is_compensated_or_refused_by_its_cost(lag_ms: float) -> None:
     """pytest -m slow tests/contract/test_pose_device.py"""
