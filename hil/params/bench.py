@@ -19,7 +19,6 @@ from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import AXES, Array, new
 from hil.maths import linear, quat
-from hil.maths.elementary import square
 from hil.models.bodies import BODIES
 from hil.params.geometry import set_geometry
 
@@ -142,9 +141,11 @@ def _set_braking_of_both(params: np.record, rails: TargetManipulator) -> None:
     deceleration a the distance is at most ``(v + u)^2 / (2 a) = v^2 / (2 a) + v u / a + u^2 / (2 a)``. Vehicles that
     share by their travel move against each other: v is the sum of their speeds, and u is not needed.
     """
-    params.deceleration = min(params.deceleration, *(axis.limits[3] for axis in rails.axes if not axis.is_fixed))
-    params.reaction_s += rails.path_speed_mps / params.deceleration
-    ahead_m = square(rails.path_speed_mps) / (2.0 * params.deceleration)
+    own = [axis.limits[3] for axis in rails.axes if not axis.is_fixed]
+    deceleration, speed_mps = min(float(params.deceleration), *own), rails.path_speed_mps
+    params.deceleration = deceleration
+    params.reaction_s += speed_mps / deceleration
+    ahead_m = speed_mps * speed_mps / (2.0 * deceleration)
     params.distance += ahead_m
     params.zone.plane += ahead_m
     params.zone.radius += ahead_m if params.zone.radius > 0.0 else 0.0
