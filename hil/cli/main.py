@@ -220,7 +220,7 @@ def _as_ctrl_c(_number: int, _frame: FrameType | None) -> None:
 
 
 def _unraisable(dropped: sys.UnraisableHookArgs) -> None:
-    """Interrupt once more if an interruption was dropped, as callbacks of the compiler do, which then goes on."""
+    """Interrupt once more if an interruption was dropped, as callbacks of the compiler do, which then continues."""
     if dropped.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(dropped)
         return

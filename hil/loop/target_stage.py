@@ -128,7 +128,7 @@ class AxesTogether:
             group.close()
 
 
-class MovingTarget(TargetAxes):
+class TargetInMotion(TargetAxes):
     """Target that the axes of ``config`` move in a run.
 
     params: MANIPULATOR. bench: BENCH_PARAMS of the chaser's rig. limits: BENCH_PARAMS with the limits of these axes.

@@ -44,7 +44,7 @@ from hil.loop.safety_io_stage import SafetyIo, SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.session_parts import SessionParts
 from hil.loop.stages import DssStage, FrameUsed, RunZero, VisionStage
-from hil.loop.target_stage import AxesTogether, HeldAxes, MovingTarget
+from hil.loop.target_stage import AxesTogether, HeldAxes, TargetInMotion
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -302,7 +302,7 @@ def _axis_faults(job: Job, devices: Devices, memory: CoreMemory) -> Callable[[fl
 
 def _target(
     job: Job, rig: Rig, devices: Devices, sinks: Mapping[str, Telemetry]
-) -> tuple[MovingTarget | None, dict[str, HeldAxes]]:
+) -> tuple[TargetInMotion | None, dict[str, HeldAxes]]:
     """Return the axes that move the target in the run, and those that are held at their places, by name."""
     groups, sink = {"target": devices.target, **devices.held}, sinks.get("held_samples")
     held: dict[str, HeldAxes] = {}
@@ -318,7 +318,7 @@ def _target(
     start = dynamics_params.initial_truth(job.truth)
     bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
     sink = sink if params.rails else sinks.get("manipulator_samples")
-    return MovingTarget(devices.target, config, params, bench, limits, start, sink), held
+    return TargetInMotion(devices.target, config, params, bench, limits, start, sink), held
 
 
 def _sensors(

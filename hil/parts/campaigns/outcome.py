@@ -146,7 +146,7 @@ def row_of(
 
 
 def _view_margin(stats: np.record, scenario: Scenario) -> float:
-    """Return the least margin of the LEDs to an image's edge, px; infinite where no LED has to be in view."""
+    """Return the least margin of the LEDs to an image's edge, px; infinite if no LED has to be in view."""
     return float(stats.view_margin) if scenario.vmu.errors.needs_view else math.inf
 
 
