@@ -87,7 +87,7 @@ def test_bench_gives_a_verdict_and_is_replayed(name: str, kind: str, tmp_path: P
     rig, settings = bench(name, kind, tmp_path, 24711)
     if kind == "emulated":
         settings["rig.host.time"] = "lock_step"
-    run = hil.run(LABS[name].scenario, rig, 1, 60.0, settings, record=tmp_path)
+    run = hil.run(LABS[name].scenario, rig, 1, 20.0, settings, record=tmp_path)
     assert run.stop == "completed"
     (file,) = tmp_path.glob("*.mcap")
     assert execute(["replay", str(file)]) == 0
