@@ -26,7 +26,7 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
-from hil.config.tables.imu_wire import ImuWire
+from hil.config.tables.imu_wire import CanBus, ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
@@ -273,21 +273,11 @@ class FurtherModbus(Modbus):
     w: ModbusAxis = ModbusAxis()
 
 
-class Cia402(ConfigModel):
+class Cia402(CanBus):
     """CiA 402 drives on one CAN bus."""
 
-    interface: str = "serial"
-    """Interface of python-can."""
-    channel: str | None = None
-    """Channel of that interface."""
-    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    """Bit rate of the bus, bit/s."""
-    baud: Annotated[int, Field(gt=0)] = 1_000_000
-    """Baud rate of a serial adapter."""
     adapter_latency_s: Delay = 0.0
     """Time for which a serial adapter collects bytes."""
-    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Further arguments of that interface, such as `host` and `port` of socketcand."""
     node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Node ids of roll, pitch, yaw, of further axes also of a, b, c; or of as many drives as there are."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000

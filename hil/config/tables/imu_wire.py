@@ -12,10 +12,10 @@ from hil.config.tables.model import ConfigModel, Positive, Triple
 UDP: Final = "udp://"
 
 
-class ImuCan(ConfigModel):
-    """CAN bus of an IMU whose frame is sent in several messages."""
+class CanBus(ConfigModel):
+    """CAN bus of python-can."""
 
-    interface: str = "socketcan"
+    interface: str = "serial"
     """Interface of python-can."""
     channel: str | None = None
     """Channel of that interface."""
@@ -24,7 +24,12 @@ class ImuCan(ConfigModel):
     baud: Annotated[int, Field(gt=0)] = 1_000_000
     """Baud rate of a serial adapter."""
     arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Further arguments of that interface."""
+    """Further arguments of that interface, such as `host` and `port` of socketcand."""
+
+
+class ImuCan(CanBus):
+    """CAN bus of an IMU whose frame is sent in several messages."""
+
     identifiers: Annotated[tuple[Annotated[int, Field(ge=0, le=0x7FF)], ...], Field(min_length=1, max_length=8)]
     """Of the messages of a frame, in their order. The frame has the first one, two bytes, big end first, as its sync,
     and after it the data of all."""
