@@ -39,7 +39,8 @@ from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set
 from hil.loop.cycle import CyclesOf, Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.runner import Runner, RunPlan
+from hil.loop.run_plan import RunPlan
+from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIo, SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.session_parts import SessionParts
@@ -68,6 +69,7 @@ ROWS_MAX = 100_000
 _UNTIL_STOPPED_CYCLES = 2**40
 _NO_VISION_M = 1e-3  # range up to which poses are expected
 _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
+_SETTLED = 5.0  # lags after which a robot is within 1 % of its last motion
 
 
 class Devices(NamedTuple):
@@ -264,6 +266,7 @@ def assemble(
         job.until_stopped,
         rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
         rig.host.lock_step_timeout_s,
+        _SETTLED * max((robot.lag_s or 0.0 for robot in rig.robots.values()), default=0.0),
     )
     if sensors is not None:
         parts.meters["sensors"] = sensors.numbers
