@@ -46,8 +46,8 @@ _PIXELS_MAX: Final = 1 << 27
 COMMANDS: Final = commands_of()
 
 _EXTRAS: Final = {
-    "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
-    "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
+    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
+    "websockets": "console", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
 }  # fmt: skip
 """Package that only some commands need -> the extra that installs it."""
 
