@@ -16,6 +16,7 @@ from typing import Final
 from pydantic import BaseModel
 
 from docs import benchmark_pages, package_pages, record_pages, result_pages, wire_pages
+from docs.fault_responses import RESPONSES
 from hil.cli.main import app
 from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.protocol import Protocol
@@ -25,7 +26,7 @@ from hil.config.scene import Scene
 from hil.config.tables.body import CentralBody
 from hil.config.tables.dispersions import Spread
 from hil.config.tables.driver_registry import DeviceTable
-from hil.config.tables.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
+from hil.config.tables.faults import EMULATED, TERMS, ErrorTerm
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
