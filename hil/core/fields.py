@@ -31,6 +31,16 @@ class Field:
     absent: float = 0.0
 
 
+def number(name: str, unit: str, meaning: str, absent: float = 0.0) -> Field:
+    """Return the field of a number without a frame."""
+    return Field(name, "f8", (), unit, "", meaning, absent)
+
+
+def whole(name: str, meaning: str) -> Field:
+    """Return the field of a whole number."""
+    return Field(name, "i8", (), "1", "", meaning)
+
+
 Fields = tuple[Field, ...]
 """Table of a record: its fields in the order of the memory layout."""
 
