@@ -298,7 +298,8 @@ class VisionUnit:
         is_overfull = any(detector.overfull for detector in self._detectors)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
-        if not is_overfull and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
+        is_complete = not (is_overfull or self._is_exhausted)
+        if is_complete and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
         if verdict.status in (TOO_FEW, NO_MATCH) and not (is_overfull or self._is_exhausted):
             verdict, view, spots = self._before_steps(images, expected) or (verdict, view, spots)

@@ -112,7 +112,7 @@ def sparkle(number: int) -> Frames:
     return frames
 
 
-_SOME = Expectation(solved=0.0, drawn=False)
+_SOME = Expectation(solved=0.0, drawn=False)  # none is wrong, and none takes long
 
 CROWDED_ROWS = (
     Row(

@@ -18,13 +18,14 @@ from hil.vmu.pose import SolverSettings
 from hil.vmu.refusals import reason, reason_of_time
 from hil.vmu.unit import Solution, VisionUnit
 from tests.support.disturbance_verdicts import judge
+from tests.support.vmu_crowded import CROWDED_ROWS
 from tests.support.vmu_disturbances import VERY_GOOD, Row, known_geometry, real_bench, somewhere
 from tests.support.vmu_lab import BACKDROPS, LAB_ROWS, Backdrop, backgrounds, beside, ghosts, twins
 from tests.support.vmu_pixels import PixelOptics
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", LAB_ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [*LAB_ROWS, *CROWDED_ROWS], ids=lambda row: row.name)
 def test_every_row_of_the_laboratory_is_as_expected(row: Row) -> None:
     """The table of ``python sims/disturbances.py vmu``."""
     verdict = judge(row.expected, [row.run(40, seed).result() for seed in range(3)])
