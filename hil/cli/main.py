@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import faulthandler
 import gc
+import logging
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -41,6 +43,9 @@ _DELIVERED: Final = (PASSED, FAILED, INCOMPLETE)
 """Codes by which a reader of the exit code alone would take the results as delivered."""
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
+_AGAIN_WALL_S: Final = 0.02
+_STOPPED: Final = threading.Event()
+"""Whether a signal has stopped the program: what is raised from then on is a consequence."""
 
 COMMANDS: Final = commands_of()
 _KINDS: Final = {bool: "true or false", int: "an integer", float: "a number"}
@@ -97,6 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     for number in STOP_SIGNALS:
         signal.signal(number, _as_ctrl_c)
+    sys.unraisablehook = _unraisable
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     for problem in parts().problems:
@@ -187,6 +193,9 @@ def _execute(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _fail("stopped by the operator", SAFE_STOPPED)
     except Exception as error:
+        if _STOPPED.is_set():
+            logging.getLogger(__name__).debug("raised after the stop", exc_info=error)
+            return _fail("stopped by the operator", SAFE_STOPPED)
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
@@ -229,4 +238,15 @@ def _fail(text: str, code: int) -> int:
 
 
 def _as_ctrl_c(_number: int, _frame: FrameType | None) -> None:
+    _STOPPED.set()
     raise KeyboardInterrupt
+
+
+def _unraisable(dropped: sys.UnraisableHookArgs) -> None:
+    """Interrupt once more if an interruption was dropped, as callbacks of the compiler do, which then continues."""
+    if dropped.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(dropped)
+        return
+    again = threading.Timer(_AGAIN_WALL_S, os.kill, (os.getpid(), signal.SIGINT))
+    again.daemon = True
+    again.start()

@@ -349,7 +349,15 @@ TRACKER: Final = Part(
     attach="hil.parts.tracker.session:attach",
     each_cycle=True,
     preflight="hil.parts.tracker.preflight:checks",
-    sinks={"tracker_samples": PartSink(1024, "/tracker", "hil.TrackerSample", "hil.parts.tracker.rows:SAMPLE_FIELDS")},
+    sinks={
+        "tracker_samples": PartSink(
+            1024,
+            "/tracker",
+            "hil.TrackerSample",
+            "hil.parts.tracker.rows:SAMPLE_FIELDS",
+            "hil.parts.tracker.rows:offsets",
+        )
+    },
     sections={"bench_truth": "hil.parts.tracker.results:section"},
 )
 
