@@ -69,7 +69,7 @@ def lag_costs(asked: Demands, rig: Rig) -> list[LagCost]:
     own = [k for k, sample in enumerate(asked.plan) if sample.abort_s is None]
     elapsed_s = np.maximum(np.diff([asked.plan[k].t_s for k in own]), _LEAST_S)[:, None]
     rates = {"rails": asked.axes.planned_rate[own, :3], "turntable": asked.axes.rate[own, 3:]}
-    rates["target"] = np.diff(asked.target_rad[own], axis=0) / elapsed_s
+    rates["target"] = np.diff(asked.target_at[own], axis=0) / elapsed_s
     costs = []
     for name, robot in rig.robots.items():
         for group, part in rig.robot_axes(name).items():
@@ -102,7 +102,7 @@ class _Path:
             if body.on == "lab"
         ]
         self._plan = asked.plan
-        self._poses = np.hstack([[[*m.r_CT_H, *m.rotation] for m in asked.plan], asked.target_rad])
+        self._poses = np.hstack([[[*m.r_CT_H, *m.rotation] for m in asked.plan], asked.target_at])
         self._axes, self._rest, self._normal = new(AXES), np.zeros(3), np.empty(3)
         self.robot = ""
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.bench import manipulator
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
-from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
+from hil.bench.manipulator import ChaserMotion
 from hil.checks.abort import check_transfers
 from hil.checks.modes import check_modes
 from hil.checks.reachability import check_reachability
@@ -45,10 +47,12 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
     axes, rest, r = new(AXES), np.zeros(3), np.array(position_m)
     q = euler.to_quaternion(np.radians(attitude_deg), euler.YAW_PITCH_ROLL)
+    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
     if (params := bench_params.manipulator(rig)) is not None:
-        angles = start_angles(params, bench_params.manipulator_limits(rig, scenario.step_s), q)
-        r, _, q, _ = shown_motion(params, angles, rest, ChaserMotion(r, rest, q, rest))
-    axes_of_pose(bench_params.bench(rig, scenario.step_s, scenario.bench), r, rest, q, rest, axes)
+        at = manipulator.start_axes(params, bench, bench_params.manipulator_limits(rig, scenario.step_s), r, q)
+        shown = manipulator.shown_motion(params, at, rest, ChaserMotion(r, rest, q, rest))
+        r, q = shown.r, shown.q
+    axes_of_pose(bench, r, rest, q, rest, axes)
     return axes
 
 
@@ -60,7 +64,8 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
     problems = (
-        check_modes(scenario)
+        _check_sharing(scenario, rig)
+        or check_modes(scenario)
         or check_transfers(scenario)
         or [
             *check_vehicle(scenario),
@@ -73,6 +78,23 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     from hil.checks.arm import check_arm  # of few rigs
 
     return check_arm(scenario, rig)
+
+
+def _check_sharing(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of a target on rails that move: scaled distances, a keep-out that grows too far."""
+    rails, value = rig.value.shared_rails, scenario.value
+    if rails is None:
+        return []
+    if value.bench.scaled_beyond_m is not None:
+        key, text = "bench.scaled_beyond_m", "does not go with target_manipulator.sharing, allowed none"
+        return [Problem(scenario.where(key), key, f"{value.bench.scaled_beyond_m:g}: {text}")]
+    radius_m = float(bench_params.bench_guard(rig.value, value).zone.radius)
+    grown = value.model_copy(update={"keep_out": value.keep_out.model_copy(update={"radius_m": radius_m})})
+    if radius_m == value.keep_out.radius_m or not check_keep_out(replace(scenario, value=grown)):
+        return []
+    key = "target_manipulator.path_s"
+    text = f"at {rails.path_speed_mps:.2g} m/s keep_out.radius_m grows to {radius_m:.3g} m, beyond a point of the plan"
+    return [Problem(rig.where(key), f"rig.{key}", text)]
 
 
 def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -189,8 +211,9 @@ def check_rates(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     if rate_hz is not None and abs(rate_hz * step_s * rig.value.telemetry_cycles(step_s) - 1.0) > _RATIO_TOLERANCE:
         text = f"{rate_hz:g}: allowed is the cycle's rate, {1.0 / step_s:g} Hz, divided by a whole number"
         problems.append(Problem(rig.where(key), f"rig.{key}", text))
-    if rig.value.rotated_target is not None and rig.value.ticks(scenario.value.step_s) > 1:
-        text = f"{axes_hz:g}: does not go with rotary_manipulator, allowed {1.0 / step_s:g}, the cycle's rate"
+    if (target := rig.value.moving_target) is not None and rig.value.ticks(scenario.value.step_s) > 1:
+        name = "rotary_manipulator" if target is rig.value.rotated_target else "target_manipulator.sharing"
+        text = f"{axes_hz:g}: does not go with {name}, allowed {1.0 / step_s:g}, the cycle's rate"
         problems.append(Problem(rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", text))
     return problems or [*_wire_problems(scenario, rig), *_jerk_problems(scenario, rig)]
 
@@ -220,7 +243,7 @@ def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
         source, key, value, setpoints_hz = rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", axes_hz, axes_hz
     else:
         source, key, value, setpoints_hz = scenario.where("step_s"), "step_s", step_s, 1.0 / step_s
-    problems = []
+    problems, held = [], "target_manipulator" if rig.value.shared_rails is None else ""
     for name, table in rig.value.device_tables().items():
         if not (isinstance(table, AxisGroupTable) and table.has_wires):
             continue
@@ -229,7 +252,7 @@ def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
         carries = f"the wire of {name} ({table.driver}) carries {most_hz:.0f}"
         if own_hz is not None and own_hz > most_hz + _ROUNDING_HZ:
             problems.append(Problem(rig.where(own), f"rig.{own}", f"{own_hz:g}: {carries} exchanges per second"))
-        elif own_hz is None and setpoints_hz > most_hz and name != "target_manipulator":
+        elif own_hz is None and setpoints_hz > most_hz and name != held:
             text = f"{value:g}: {setpoints_hz:g} setpoints per second, {carries}; rig.{own} limits the exchanges"
             problems.append(Problem(source, key, text))
     vmu = rig.value.vmu

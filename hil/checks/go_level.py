@@ -60,7 +60,7 @@ class AxisHold(NamedTuple):
         if self.change > self.rate_max:
             return (
                 f"requirements.{self.rate_key} = {self.rate_max:g}: the smallest firing changes the rate {self.name} "
-                f"by {self.change:.2g} {self.unit}/s, so there will be no go"
+                f"by {self.change:.2g} {self.unit}/s: Table III does not hold after it, and there will be no go"
             )
         with_level = self.held + self.level
         if with_level > self.tolerance:
@@ -83,13 +83,16 @@ def go_warnings(scenario: Scenario, rig: Rig) -> list[str]:
 
 
 def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
-    """Return how x, y, z and the attitude about them are held. Raises ValueError if the layout cannot move an axis."""
+    """Return how x, y, z and the attitude about them are held, without what the plane of a planar chaser holds.
+
+    Raises ValueError if the layout cannot move an axis.
+    """
     needs, thrusters = scenario.requirements, scenario.chaser.thrusters
     sets, strength = allocation(scenario.chaser)
     params = control(scenario, strength)
     levels, sigma_m, sigma_mps = _levels(scenario, rig)
     axes = []
-    for k in range(6):
+    for k in np.flatnonzero(params.held == 0).tolist():
         i, is_turn = k % 3, k >= 3
         sigma, sigma_rate = (0.0, 0.0) if is_turn else (float(sigma_m[i]), sigma_mps)
         pulse = float(params.acceleration[k] * params.pulse_s)

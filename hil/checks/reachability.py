@@ -15,7 +15,7 @@ from hil.bench import manipulator, reachability
 from hil.bench.kinematics import show
 from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
 from hil.config.load import Loaded
-from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
+from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
@@ -37,9 +37,9 @@ class Demands:
     margin_m: Array
     axes: reachability.Envelope
     relative: list[PlanSample]
-    """The plan relative to the target; if that is rotated, ``plan`` is what is left for the chaser's rig."""
-    target_rad: Array
-    """Angles of the rotary manipulator, (n, 3); zero without one."""
+    """The plan relative to the target; if that is moved, ``plan`` is what is left for the chaser's rig."""
+    target_at: Array
+    """Positions of the axes that move the target, (n, 3), rad or m; zero without any."""
 
 
 def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
@@ -49,7 +49,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     """
     bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
     relative, free = moments(scenario), control_bounds(scenario)
-    plan, target_rad, swing = _divided(scenario, rig, relative)
+    plan, target_at, swing = _divided(scenario, rig, relative)
     band = math.radians(scenario.reachability.attitude_margin_deg)
     cached = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
     attitudes = [cached[tuple(m.rotation)] for m in plan]
@@ -59,7 +59,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     rate, slewing = linear.length(free.rate), linear.length(free.slewing)
     free = replace(free, swing_mps=swing * rate, swing_mps2=swing * (slewing + rate * rate))
     axes = reachability.envelope(bench, attitudes, r, v, margin, free)
-    return Demands(plan, attitudes, margin, axes, relative, target_rad)
+    return Demands(plan, attitudes, margin, axes, relative, target_at)
 
 
 def _shown(bench: np.record, r: Array, v: Array, margin: Array) -> tuple[Array, Array, Array]:
@@ -76,29 +76,30 @@ def _shown(bench: np.record, r: Array, v: Array, margin: Array) -> tuple[Array, 
 
 
 def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list[PlanSample], Array, Array]:
-    """Return what is left of ``plan`` for the chaser's rig, the manipulator's angles (n, 3), rad, and its arms (n,), m.
+    """Return what is left of ``plan`` for the chaser's rig, positions (n, 3) of the target's axes, and arms (n,), m.
 
     An arm is the distance at which a rotation of the chaser moves the rails; all are zero without a rotary manipulator.
-    The manipulator takes the relative rotation of a sample as far as its travel allows, and that of the plan's motion
-    as far as its rates allow.
+    The target's axes take their part of a sample as far as their travel allows, and that of the plan's motion as far as
+    their rates allow. What control adds is left to the chaser's rig.
     """
     params = bench_params.manipulator(rig)
     if params is None:
         return plan, np.zeros((len(plan), 3)), np.zeros(len(plan))
-    limits = bench_params.manipulator_limits(rig, scenario.step_s)
-    samples, target_rad, arms = [], np.empty((len(plan), 3)), np.empty(len(plan))
+    limits, at = bench_params.manipulator_limits(rig, scenario.step_s), manipulator.places(params)
+    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
+    samples, target_at, arms = [], np.empty((len(plan), 3)), np.empty(len(plan))
     near = np.zeros(3)
     for k, (sample, rate) in enumerate(zip(plan, _rates(plan), strict=True)):
         q = quat.from_rotation_vector(sample.rotation)
-        angles, rates = manipulator.wanted_angles(params, q, rate, near)
-        within = np.clip(angles, limits.low[3:], limits.high[3:])
-        rates = np.where(within == angles, np.clip(rates, -limits.rate_max[3:], limits.rate_max[3:]), 0.0)
-        motion = manipulator.ChaserMotion(sample.r_CT_H, sample.v_CT_H, q, rate)
+        motion = manipulator.ChaserMotion(sample.r_CT_H, sample.v_CT_H, q, rate, sample.t_s)
+        wanted, rates = manipulator.wanted_axes(params, bench, motion, near)
+        within = np.clip(wanted, limits.low[at], limits.high[at])
+        rates = np.where(within == wanted, np.clip(rates, -limits.rate_max[at], limits.rate_max[at]), 0.0)
         shown = manipulator.shown_motion(params, within, rates, motion)
         samples.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
-        target_rad[k], arms[k] = within, linear.length(sample.r_CT_H + params.arm)
+        target_at[k], arms[k] = within, 0.0 if params.rails else linear.length(sample.r_CT_H + params.arm)
         near = within if sample.abort_s is None else near
-    return samples, target_rad, arms
+    return samples, target_at, arms
 
 
 def _rates(plan: list[PlanSample]) -> list[Array]:
@@ -213,13 +214,13 @@ class _Findings:
 
     def view(self) -> None:
         """Add one problem if an LED leaves an image."""
-        if not self._rig.has_vmu:
+        if not (self._rig.has_vmu and self._scenario.value.vmu.errors.needs_view):
             return
         camera, leds = vmu_params.camera(self._rig)
         asked, mounting = self._asked, vmu_params.mounting(self._rig)
         # of the relative pose, whichever axes show it
         r, attitudes = np.array([m.r_CT_H for m in asked.relative]), asked.attitudes
-        if asked.target_rad.any():
+        if asked.target_at.any():
             band = math.radians(self._scenario.value.reachability.attitude_margin_deg)
             attitudes = [reachability.attitude(self._bench, m.rotation, band) for m in asked.relative]
         planned, least = reachability.view(self._bench, mounting, camera, leds, attitudes, r, asked.margin_m)
@@ -274,11 +275,17 @@ class _Findings:
         return f"at {moment.t_s:.1f} s{begun}{self._beside(k)}"
 
     def _beside(self, k: int) -> str:
-        """Return where the rotary manipulator is at moment ``k``, whose travel leaves the rest to the chaser's rig."""
-        if self._rig.rotated_target is None:
-            return ""
-        at = zip(GIMBAL_NAMES, np.degrees(self._asked.target_rad[k]), strict=True)
-        return f" with rotary_manipulator at {', '.join(f'{name} {angle:.1f}' for name, angle in at)} deg"
+        """Return where the target's axes are at moment ``k``, whose travel leaves the rest to the chaser's rig."""
+        at = self._asked.target_at[k]
+        if self._rig.rotated_target is not None:
+            angles = zip(GIMBAL_NAMES, np.degrees(at), strict=True)
+            return f" with rotary_manipulator at {', '.join(f'{name} {angle:.1f}' for name, angle in angles)} deg"
+        if self._rig.shared_rails is not None:
+            positions = zip(RAIL_NAMES, at, strict=True)
+            return (
+                f" with target_manipulator at {', '.join(f'{name} {position:.3f}' for name, position in positions)} m"
+            )
+        return ""
 
     def _say(self, key: str, text: str) -> None:
         self.problems.append(Problem(self._scenario.where(key), key, text))

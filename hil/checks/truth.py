@@ -51,7 +51,11 @@ def _check_plane(scenario: Loaded[Scenario]) -> list[Problem]:
     wrong = {key: "along y" for key, place in points.items() if place[1] != 0.0}
     wrong |= {key: "about x and z" for key, turn in turns.items() if turn[0] != 0.0 or turn[2] != 0.0}
     text = "leaves the x-z plane of H, in which chaser.planar holds the chaser, allowed 0"
-    return [Problem(scenario.where(key), key, f"{text} {which}") for key, which in wrong.items()]
+    speed_mps, why = guidance.approach_speed_mps, ""
+    if value.truth.relative_motion != "free":
+        held_mps2 = 2.0 * dynamics_params.mean_motion(value.orbit) * speed_mps
+        why = f": another plane would hold back up to {held_mps2:.2g} m/s2, 2 w v at {speed_mps:g} m/s"
+    return [Problem(scenario.where(key), key, f"{text} {which}{why}") for key, which in wrong.items()]
 
 
 def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:

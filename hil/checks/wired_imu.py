@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.checks.combinations import problems_with
-from hil.config.load import Loaded
+from hil.config.load import Loaded, load_frame
 from hil.config.rig import GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import Problem
@@ -32,5 +32,10 @@ def check_wired_imu(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Proble
         if bench.target_axes is not None
         else None,
     }
+    if bench.imu.can is not None and (sync := load_frame(bench.imu.frames).value.sync) is not None:
+        expected, given = bench.imu.can.sync.hex(" "), bytes.fromhex(sync).hex(" ")
+        of_rig["rig.imu.frames"] = (
+            (f'sync "{given}"', f'"{expected}", imu.can.identifiers') if given != expected else None
+        )
     part = f"the IMU on the table of rig {bench.name}"
     return [*problems_with(part, scenario, of_scenario), *problems_with(part, rig, of_rig)]

@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import faulthandler
 import gc
+import logging
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from types import FrameType
-from typing import Any, Final, TextIO, cast
+from typing import Any, Final, TextIO, cast, get_args
 
 import cyclopts
 from cyclopts import App, Group
 
 from hil.cli import verbosity
 from hil.cli.options import declared_problems, refuse
-from hil.cli.parser_errors import text_of
 from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
@@ -42,12 +43,16 @@ _DELIVERED: Final = (PASSED, FAILED, INCOMPLETE)
 """Codes by which a reader of the exit code alone would take the results as delivered."""
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
+_AGAIN_WALL_S: Final = 0.02
+_STOPPED: Final = threading.Event()
+"""Whether a signal has stopped the program: what is raised from then on is a consequence."""
 
 COMMANDS: Final = commands_of()
+_KINDS: Final = {bool: "true or false", int: "an integer", float: "a number"}
 
 _EXTRAS: Final = {
-    "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
-    "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
+    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
+    "websockets": "console", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
 }  # fmt: skip
 """Package that only some commands need -> the extra that installs it."""
 
@@ -97,6 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     for number in STOP_SIGNALS:
         signal.signal(number, _as_ctrl_c)
+    sys.unraisablehook = _unraisable
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     for problem in parts().problems:
@@ -181,12 +187,15 @@ def _execute(arguments: Sequence[str]) -> int:
     except BadInput as error:
         return _fail(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
-        return _fail(text_of(error), BAD_INPUT)
+        return _fail(_text_of(error), BAD_INPUT)
     except (BenchError, CampaignStopped) as error:
         return _fail(str(error), SAFE_STOPPED)
     except KeyboardInterrupt:
         return _fail("stopped by the operator", SAFE_STOPPED)
     except Exception as error:
+        if _STOPPED.is_set():
+            logging.getLogger(__name__).debug("raised after the stop", exc_info=error)
+            return _fail("stopped by the operator", SAFE_STOPPED)
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
@@ -200,10 +209,44 @@ def _execute(arguments: Sequence[str]) -> int:
     return INCOMPLETE if code == PASSED and take_incomplete() else code
 
 
+def _text_of(error: cyclopts.CycloptsError) -> str:
+    """Return the line for an error of the parser: option, value, and what is allowed."""
+    argument, command = error.argument, " ".join(("hil", *(error.command_chain or ())))
+    token = getattr(error, "token", None)
+    option = (token and token.keyword) or (argument.name if argument else "")
+    if isinstance(error, cyclopts.UnusedCliTokensError):
+        return f"{' '.join(error.unused_tokens or ())}: more than {command} takes, see {command} --help"
+    if isinstance(error, cyclopts.RepeatArgumentError):
+        return f"{option}: given more than once"
+    if isinstance(error, cyclopts.MissingArgumentError) and argument and argument.token_count()[0] == 1:
+        keyword = error.keyword or next((each.keyword for each in argument.tokens if each.keyword), None)
+        return f"{keyword}: needs a value" if keyword else f"{command}: needs {option}, see {command} --help"
+    if isinstance(error, cyclopts.CoercionError) and token and argument and (allowed := _allowed_by(argument.hint)):
+        return f"{option}: {token.value:.60}: must be {allowed}"
+    return " ".join(str(error).split())
+
+
+def _allowed_by(hint: Any) -> str:
+    """Return what a value of the type ``hint`` can be, "" if no number or flag."""
+    kinds = get_args(hint) or (hint,)
+    return next((name for kind, name in _KINDS.items() if kind in kinds), "")
+
+
 def _fail(text: str, code: int) -> int:
     print(text, file=sys.stderr)  # noqa: T201
     return code
 
 
 def _as_ctrl_c(_number: int, _frame: FrameType | None) -> None:
+    _STOPPED.set()
     raise KeyboardInterrupt
+
+
+def _unraisable(dropped: sys.UnraisableHookArgs) -> None:
+    """Interrupt once more if an interruption was dropped, as callbacks of the compiler do, which then continues."""
+    if dropped.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(dropped)
+        return
+    again = threading.Timer(_AGAIN_WALL_S, os.kill, (os.getpid(), signal.SIGINT))
+    again.daemon = True
+    again.start()

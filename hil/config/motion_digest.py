@@ -57,6 +57,9 @@ def motion_digest(rig: Rig) -> str:
             if protocol["gimbals"] == list(GIMBAL_NAMES):
                 del protocol["gimbals"]
             table[device]["ascii"]["protocol"] = protocol
+    if (rails := rig.target_manipulator) is not None and rails.sharing == "none":
+        for key in ("sharing", "path_s", "path_m"):  # as before there were any
+            del table["target_manipulator"][key]
     _drop_not_fixed(table)
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)

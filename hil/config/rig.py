@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
@@ -25,7 +26,7 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
-from hil.config.tables.imu_wire import ImuWire
+from hil.config.tables.imu_wire import CanBus, ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
@@ -53,6 +54,7 @@ MIDDLE_AXIS_MAX_DEG = 85.0  # largest angle of the middle axis of a rotary manip
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
 GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]  # of three different axes
 UNIT_AXES: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_CATCHING_UP = 2.0  # speed of axes that reach a target in motion from rest, of its speed
 _FIXED_LIMIT = 1.0  # m/s, m/s^2, deg/s, deg/s^2 of an axis without a drive, which never moves
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
@@ -271,21 +273,11 @@ class FurtherModbus(Modbus):
     w: ModbusAxis = ModbusAxis()
 
 
-class Cia402(ConfigModel):
+class Cia402(CanBus):
     """CiA 402 drives on one CAN bus."""
 
-    interface: str = "serial"
-    """Interface of python-can."""
-    channel: str | None = None
-    """Channel of that interface."""
-    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    """Bit rate of the bus, bit/s."""
-    baud: Annotated[int, Field(gt=0)] = 1_000_000
-    """Baud rate of a serial adapter."""
     adapter_latency_s: Delay = 0.0
     """Time for which a serial adapter collects bytes."""
-    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Further arguments of that interface, such as `host` and `port` of socketcand."""
     node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Node ids of roll, pitch, yaw, of further axes also of a, b, c; or of as many drives as there are."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
@@ -642,13 +634,55 @@ class Rails(LinearAxes):
         return self.controllers
 
 
+def _length(components: Iterable[float]) -> float:
+    return math.sqrt(linear.total(value * value for value in components))
+
+
 class TargetManipulator(Rails, HeldAtPlace):
-    """Manipulator of the target: three axes like the rails, placed before a run and held during it."""
+    """Rails of the target, along the axes of L: placed before a run and held during it, or driven in it."""
 
     place_m: Triple = (0.0, 0.0, 0.0)
     """Position of the target, reached before the run is armed, at half of the limits."""
     held_within_m: Positive = 0.005
     """Allowed deviation from it, per axis, while armed and running."""
+    sharing: Literal["none", "travel", "path"] = "none"
+    """What the target shows of the relative position in a run: "none", it is held at its place; "travel", along each
+    axis the part by which both vehicles have the same fraction of their travel left; "path", its own path, and the
+    chaser shows the rest."""
+    path_s: Annotated[tuple[NotNegative, ...], Field(max_length=64)] = ()
+    """Times of the run at the points of its path; before the first and after the last one it stands."""
+    path_m: tuple[Triple, ...] = ()
+    """Its positions at these times, straight lines between them."""
+
+    @property
+    def path_speed_mps(self) -> float:
+        """Largest speed of the target on its path, while it catches up with it; 0 without one."""
+        parts = zip(pairwise(self.path_s), pairwise(self.path_m), strict=True)
+        speeds = [_length(b - a for a, b in zip(*ends, strict=True)) / (t_1 - t_0) for (t_0, t_1), ends in parts]
+        return min(_CATCHING_UP * max(speeds, default=0.0), _length(axis.limits[2] for axis in self.axes))
+
+    @model_validator(mode="after")
+    def _a_rail_moves_the_target(self) -> Self:
+        if self.sharing != "none" and not self.driven:
+            raise ValueError(f'sharing "{self.sharing}": needs a driven rail, allowed "none"')
+        return self
+
+    @model_validator(mode="after")
+    def _path_can_be_followed(self) -> Self:
+        if (self.sharing == "path") != bool(self.path_s):
+            raise ValueError(f'path_s: allowed with sharing = "path", and required there; sharing is "{self.sharing}"')
+        if len(self.path_m) != len(self.path_s) or any(b <= a for a, b in pairwise(self.path_s)):
+            raise ValueError("path_s: must rise, with a point of path_m for each")
+        for number, (name, axis) in enumerate(zip(self.axis_names, self.axes, strict=True)):
+            low, high, rate_max, *_ = axis.limits
+            at = [point[number] for point in self.path_m]
+            if out := [position for position in at if not low <= position <= high]:
+                raise ValueError(f"path_m: {name} {out[0]:g}, allowed {low:g} to {high:g}")
+            for (t_0, x_0), (t_1, x_1) in pairwise(zip(self.path_s, at, strict=True)):
+                if abs(x_1 - x_0) > rate_max * (t_1 - t_0):
+                    speed = abs(x_1 - x_0) / (t_1 - t_0)
+                    raise ValueError(f"path_m: {name} at {speed:g} m/s from {t_0:g} s, allowed {rate_max:g}")
+        return self
 
 
 class RotaryAxes(AxisGroupTable):
@@ -877,7 +911,7 @@ class Rig(FileTable):
 
     @property
     def moved_target(self) -> TargetManipulator | None:
-        """Manipulator of the target; None if the target is fixed."""
+        """Rails of the target, held or driven in a run; None without any."""
         target = self.target_manipulator
         return None if target is None or target.driver == "none" else target
 
@@ -886,6 +920,17 @@ class Rig(FileTable):
         """Rotary manipulator of the target; None without one."""
         target = self.rotary_manipulator
         return None if target is None or target.driver == "none" else target
+
+    @property
+    def shared_rails(self) -> TargetManipulator | None:
+        """Rails that move the target in a run; None without any."""
+        target = self.moved_target
+        return None if target is None or target.sharing == "none" else target
+
+    @property
+    def moving_target(self) -> TargetManipulator | RotaryManipulator | None:
+        """Axes that move the target in a run; None without any."""
+        return self.rotated_target or self.shared_rails
 
     @property
     def undriven(self) -> list[str]:

@@ -126,6 +126,9 @@ class Tolerances(ConfigModel):
     """Least error of a spot beyond its noise; a larger one is estimated from the residuals."""
     sync_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Time between the exposures of both cameras: 0 with a common trigger."""
+    vibration_px: NotNegative = 0.0
+    """Vibration of each camera, along u and v, another in each pair of images. A larger one of the cameras against each
+    other is learnt from a track, one of both alike is not."""
 
 
 class VmuGeometry(ConfigModel):

@@ -44,12 +44,15 @@ class PartSink(NamedTuple):
 
     topic, schema: of the channel in the file. fields: import path of the field table of a row, which begins with the
     time ``t_s`` of the run. Without these the rows are images, IMAGE, whose topics are those of their cameras.
+    offsets: import path of a function of rows that returns those with a position of the chaser, and the positions less
+    those by the encoders, (n, 3), m, in H: a console plots them.
     """
 
     slots: int
     topic: str = ""
     schema: str = ""
     fields: str = ""
+    offsets: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,11 +211,15 @@ def hooks(name: str, scenario: Any, rig: Any) -> Iterator[Any]:
     """Yield the function that each part which a run of ``scenario`` on ``rig`` uses has for ``name``, if it has one."""
     for each in used_parts(scenario, rig):
         if path := getattr(each.part, name):
-            try:
-                hook = imported(path)
-            except (AttributeError, ImportError) as error:
-                raise BadInput.single(f"part {each.part.name}", name, f"{path!r}: {error}") from error
-            yield hook
+            yield hook(each.part, name, path)
+
+
+def hook(part: Part, name: str, path: str) -> Any:
+    """Return what the import path of ``part`` under ``name`` names. Raises BadInput if it names nothing."""
+    try:
+        return imported(path)
+    except (AttributeError, ImportError) as error:
+        raise BadInput.single(f"part {part.name}", name, f"{path!r}: {error}") from error
 
 
 def imported(path: str) -> Any:

@@ -1,4 +1,4 @@
-"""Images of a video file with the times that the file states, decoded by PyAV, without it by OpenCV.
+"""Images of a video file with the times that the file states, decoded by PyAV.
 
 The grey image is the luma plane itself: the conversion to colours and back blackens images of interlaced files. Levels
 of 16 to 235 become 0 to 255, as by that conversion.
@@ -6,22 +6,18 @@ of 16 to 235 become 0 to 255, as by that conversion.
 
 from __future__ import annotations
 
-import logging
 import math
-import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Protocol, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
 from hil.core.files import check_regular
 from hil.core.image_files import VIDEO_BYTES
 from hil.errors import BadInput
-
-log = logging.getLogger("hil")
 
 UPPER_FIRST, LOWER_FIRST = "upper_first", "lower_first"
 _ORDERS: Final = {2: UPPER_FIRST, 5: UPPER_FIRST, 3: LOWER_FIRST, 4: LOWER_FIRST}  # AVFieldOrder, as displayed
@@ -40,39 +36,46 @@ class TimedImage(NamedTuple):
     fields: str = ""
 
 
-class _Decoder(Protocol):
-    rate_hz: float | None
-    end_s: float | None
-    count: int | None
-    ends_from_zero: bool
-    resolution_s: float
-
-    def images(self) -> Iterator[TimedImage]: ...
-
-    def close(self) -> None: ...
-
-
 class Video:
     """The video file at ``path``. Raises BadInput if it cannot be read, or is to be rotated.
 
-    rate_hz: images per second as stated, None if not known. resolution_s: of its times. count: number of images by
-    length and rate, None if not known.
+    rate_hz: images per second as stated, None if not known. resolution_s: of its times. count: number of images, None
+    if not known: by the index of an MP4 file, which has what edit lists leave, otherwise by length and rate.
     """
 
     def __init__(self, path: Path) -> None:
         check_regular(path, VIDEO_BYTES)
-        self.path = path
-        self._decoder: _Decoder = _decoder(path)
-        self.rate_hz, self.resolution_s = self._decoder.rate_hz, self._decoder.resolution_s
-        self.count, end_s = self._decoder.count, self._decoder.end_s
-        if self.count is None and end_s is not None and self.rate_hz:
-            self.count = max(1, round(end_s * self.rate_hz))
+        import av  # slow import
+
+        self.path, self._error = path, av.error.FFmpegError
+        av.logging.set_level(None)
+        try:
+            self._container = av.open(str(path), options={"fflags": "+discardcorrupt", "err_detect": "explode"})
+            self._stream = self._container.streams.video[0]
+        except (self._error, OSError, IndexError, ValueError) as error:
+            raise BadInput.single(str(path), "", "not a readable video, or truncated") from error
+        stream = self._stream
+        self._ends_from_zero = "matroska" in self._container.format.name
+        stream.thread_type = "AUTO"
+        self.resolution_s = float(stream.time_base or 0)
+        rate = stream.average_rate or stream.guessed_rate
+        self.rate_hz = float(rate) if rate else None
+        lengths = [float(stream.duration * stream.time_base)] if stream.duration and stream.time_base else []
+        lengths += [stream.frames / self.rate_hz] if stream.frames and self.rate_hz else []  # as an AVI was begun
+        if not lengths and self._container.duration:
+            lengths = [self._container.duration * 1e-6]
+        self._is_indexed = "mp4" in self._container.format.name and bool(stream.frames)
+        self.count = sum(not entry.is_discard for entry in stream.index_entries) if self._is_indexed else None
+        # from the first image, of Matroska from the time 0
+        self._end_s = max((length for length in lengths if 0.0 < length < _LONGEST_S), default=None)
+        if self.count is None and self._end_s is not None and self.rate_hz:
+            self.count = max(1, round(self._end_s * self.rate_hz))
 
     def __iter__(self) -> Iterator[TimedImage]:
         """Yield the images; raise BadInput after the last one if the file states a later end, or has none."""
         number, first_s, last_s = 0, 0.0, -math.inf
         try:
-            for image in self._decoder.images():
+            for image in self._images():
                 if not image.t_s > last_s:
                     text = f"image {number} has the time {image.t_s:.6f} s, the one before {last_s:.6f} s"
                     raise BadInput.single(str(self.path), "", text)
@@ -84,9 +87,9 @@ class Video:
             self.close()
         if number == 0:
             raise BadInput.single(str(self.path), "", "not a readable video: contains no complete image")
-        end_s, count = self._decoder.end_s, self._decoder.count
+        end_s, count = self._end_s, self.count if self._is_indexed else None
         period_s = 1.0 / self.rate_hz if self.rate_hz else (last_s - first_s) / max(1, number - 1)
-        begin_s = 0.0 if self._decoder.ends_from_zero else first_s
+        begin_s = 0.0 if self._ends_from_zero else first_s
         is_early = end_s is not None and last_s - begin_s + period_s < end_s - _MISSING * period_s
         if number < count - 1 if count is not None else is_early:
             expected = "" if self.count is None else f", {self.count} expected"
@@ -94,7 +97,7 @@ class Video:
 
     def close(self) -> None:
         """Close the file. Idempotent."""
-        self._decoder.close()
+        self._container.close()
 
     def __enter__(self) -> Self:
         return self
@@ -102,51 +105,13 @@ class Video:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
-
-def _decoder(path: Path) -> _Decoder:
-    try:
-        import av
-    except ImportError:
-        log.warning("%s: decoded by OpenCV, which spoils interlaced images: pip install 'hil-bench[vision]'", path)
-        return _OpenCv(path)
-    return _PyAv(path, av)
-
-
-class _PyAv:
-    """Decoder of PyAV. end_s: from the first image, of Matroska from the time 0. count: by the index of an MP4 file.
-
-    The index has what edit lists leave, whereas length and number of images are those before.
-    """
-
-    def __init__(self, path: Path, av: Any) -> None:
-        self._path, self._error = path, av.error.FFmpegError
-        av.logging.set_level(None)
-        try:
-            self._container = av.open(str(path), options={"fflags": "+discardcorrupt", "err_detect": "explode"})
-            self._stream = self._container.streams.video[0]
-        except (self._error, OSError, IndexError, ValueError) as error:
-            raise BadInput.single(str(path), "", "not a readable video, or truncated") from error
-        stream = self._stream
-        self.ends_from_zero = "matroska" in self._container.format.name
-        stream.thread_type = "AUTO"
-        self.resolution_s = float(stream.time_base or 0)
-        rate = stream.average_rate or stream.guessed_rate
-        self.rate_hz = float(rate) if rate else None
-        lengths = [float(stream.duration * stream.time_base)] if stream.duration else []
-        lengths += [stream.frames / self.rate_hz] if stream.frames and self.rate_hz else []  # as an AVI was begun
-        if not lengths and self._container.duration:
-            lengths = [self._container.duration * 1e-6]
-        is_indexed = "mp4" in self._container.format.name and stream.frames
-        self.count = sum(not entry.is_discard for entry in stream.index_entries) if is_indexed else None
-        self.end_s = max((length for length in lengths if 0.0 < length < _LONGEST_S), default=None)
-
-    def images(self) -> Iterator[TimedImage]:
+    def _images(self) -> Iterator[TimedImage]:
         for frame in self._frames():
             turns = frame.side_data.get("DISPLAYMATRIX")
             if turns is not None and bytes(turns) != _UPRIGHT:
-                raise _rotated(self._path, frame.rotation)
+                raise _rotated(self.path, frame.rotation)
             if frame.time is None:
-                raise BadInput.single(str(self._path), "", "has images without a time")
+                raise BadInput.single(str(self.path), "", "has images without a time")
             order = _ORDERS.get(int(self._stream.codec_context.field_order or 0), UPPER_FIRST)
             yield TimedImage(float(frame.time), _luma(frame), order if frame.interlaced_frame else "")
 
@@ -162,9 +127,6 @@ class _PyAv:
                 return
             with suppress(self._error):
                 yield from (frame for frame in packet.decode() if not frame.is_corrupt)
-
-    def close(self) -> None:
-        self._container.close()
 
 
 def _luma(frame: Any) -> np.ndarray:
@@ -187,40 +149,6 @@ def _luma(frame: Any) -> np.ndarray:
         rows = (rows >> (depth - 8)).astype(np.uint8)
     is_full = kind.name.startswith(("gray", "yuvj")) or int(frame.color_range or 0) == _FULL_RANGE
     return np.array(rows) if is_full else np.asarray(cv2.LUT(np.ascontiguousarray(rows), _EXPANDED))
-
-
-class _OpenCv:
-    """Decoder of OpenCV. end_s: from the first image, of the number of images."""
-
-    def __init__(self, path: Path) -> None:
-        import cv2
-
-        # suppress the decoder's own messages: one line reports the error
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        self._cv2: Any = cv2
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        if not self._capture.isOpened():
-            raise BadInput.single(str(path), "", "not a readable video, or truncated")
-        if turn := self._capture.get(cv2.CAP_PROP_ORIENTATION_META):
-            raise _rotated(path, turn)
-        rate, count = (self._capture.get(key) for key in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
-        self.rate_hz = rate if math.isfinite(rate) and rate > 0.0 else None
-        self.end_s = count / rate if self.rate_hz and 0.0 < count < _LONGEST_S else None
-        self.count: int | None = None
-        self.resolution_s, self.ends_from_zero = 1e-3, False
-
-    def images(self) -> Iterator[TimedImage]:
-        while True:
-            whole, image = self._capture.read()
-            if not whole:
-                return
-            t_s = self._capture.get(self._cv2.CAP_PROP_POS_MSEC) * 1e-3
-            yield TimedImage(t_s, image if image.ndim == 2 else self._cv2.cvtColor(image, self._cv2.COLOR_BGR2GRAY))
-
-    def close(self) -> None:
-        self._capture.release()
 
 
 def _rotated(path: Path, turn: float) -> BadInput:

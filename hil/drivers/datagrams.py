@@ -44,6 +44,11 @@ class DatagramPort:
         """Number of the port."""
         return int(self._socket.getsockname()[1])
 
+    @property
+    def is_readable(self) -> bool:
+        """Whether a datagram has arrived. Raises OSError after ``close``."""
+        return self._wire.wait(self._socket.fileno(), 0.0)
+
     def read(self, size: int = _LONGEST) -> bytes:
         """Return the next datagram, whole, b"" if none has come in time. Raises OSError after ``close``."""
         descriptor = self._socket.fileno()

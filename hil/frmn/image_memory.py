@@ -3,58 +3,35 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.camera_images import IMAGE, ImageEncoder, ImagePolicy
-from hil.frmn.mailbox import MailboxBlock
+from hil.frmn.mailbox import SharedMailbox
 from hil.frmn.ring import Ring
 
-_ZERO: Final = np.dtype([("zero_s", "f8")])
-_MAILBOXES: Final = {"run": _ZERO}
 
-
-class RunTime:
+class RunTime(SharedMailbox):
     """Conversion of bench time to time of the run for other processes: a mailbox that the loop writes.
 
     It holds the bench time at which the run's time is zero; nan before the run and while the run's time is held.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        """Attach to the memory behind ``descriptor``, of which this object takes ownership."""
-        self._attach(MailboxBlock(descriptor, _MAILBOXES, "run-time"))
-
-    @classmethod
-    def create(cls) -> RunTime:
-        """Create the memory; pass ``descriptor`` to other processes (``pass_fds``)."""
-        made = cls.__new__(cls)
-        made._attach(MailboxBlock.create(_MAILBOXES, "run-time"))
-        return made
-
-    def _attach(self, block: MailboxBlock) -> None:
-        self._block = block
-        self._row = np.full(1, math.nan, _ZERO)
-
-    @property
-    def descriptor(self) -> int:
-        return self._block.descriptor
+    layout = np.dtype([("zero_s", "f8")])
+    label = "run-time"
 
     def set_zero(self, zero_s: float) -> None:
         """Set the bench time at which the run's time is zero; nan while it is held. One writer."""
         self._row["zero_s"] = zero_s
-        self._block["run"].write(self._row, 0.0)
+        self._mailbox.write(self._row, 0.0)
 
     def at(self, bench_s: float) -> float:
         """Return the time of the run at ``bench_s``, nan while it is held."""
-        row = np.full(1, math.nan, _ZERO)
-        self._block["run"].read(row)
+        row = np.full(1, math.nan, self.layout)
+        self._mailbox.read(row)
         return bench_s - float(row["zero_s"][0])
-
-    def close(self) -> None:
-        """Release the memory; idempotent."""
-        self._block.close()
 
 
 class ImageMemory(NamedTuple):

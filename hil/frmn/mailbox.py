@@ -8,7 +8,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -154,6 +154,34 @@ class MailboxBlock:
             cell.release()
         self._cells.clear()
         self._memory.close()
+
+
+class SharedMailbox:
+    """One mailbox in a shared memory of its own, which the loop writes and other processes read.
+
+    Subclasses give its ``layout``, and the ``label`` of the memory. descriptor: of the memory, of which this object
+    takes ownership; None: it is created.
+    """
+
+    layout: ClassVar[np.dtype]
+    label: ClassVar[str]
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        cells = {"value": self.layout}
+        if descriptor is None:
+            self._block = MailboxBlock.create(cells, self.label)
+        else:
+            self._block = MailboxBlock(descriptor, cells, self.label)
+        self._mailbox, self._row = self._block["value"], np.zeros(1, self.layout)
+
+    @property
+    def descriptor(self) -> int:
+        """To pass to other processes (``pass_fds``)."""
+        return self._block.descriptor
+
+    def close(self) -> None:
+        """Release the memory; idempotent."""
+        self._block.close()
 
 
 def _is_alive(pid: int) -> bool:

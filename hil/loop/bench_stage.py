@@ -38,8 +38,8 @@ class SafetyInputs(NamedTuple):
 NO_INPUTS: Final = SafetyInputs()
 
 
-class ShownRotation(Protocol):
-    """Manipulator that shows the rotation of the target, see ``hil.loop.target_stage``. params: MANIPULATOR."""
+class MovesTarget(Protocol):
+    """Axes that move the target in a run, see ``hil.loop.target_stage``. params: MANIPULATOR."""
 
     params: np.record
     feedback: AxisFeedback
@@ -68,7 +68,7 @@ class BenchStage:
         turntable: AxisGroup,
         memory: CoreMemory,
         safety: SafetyMonitor,
-        manipulator: ShownRotation | None = None,
+        manipulator: MovesTarget | None = None,
         inputs: SafetyInputs = NO_INPUTS,
     ) -> None:
         self.rails = rails
@@ -194,7 +194,8 @@ class BenchStage:
         """Write the axis positions (AXES), at rest, of the start pose in ``truth``."""
         r, q, rest = truth.r_CT_H, truth.q_CH, np.zeros(3)
         if self.manipulator is not None:
-            r, _, q, _ = self.manipulator.shown_at_rest(r, q)
+            shown = self.manipulator.shown_at_rest(r, q)
+            r, q = shown.r, shown.q
         self.axes_of(r, rest, q, rest, out)
 
     def follow(self, now_s: float) -> None:
@@ -204,7 +205,9 @@ class BenchStage:
             return
         truth = self._now.truth
         rate_against_hill(truth, self._rate)
-        remaining = self.manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, self._rate), now_s)
+        remaining = self.manipulator.follow(
+            ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, self._rate, truth.t_s), now_s
+        )
         self.axes_of(remaining.r, remaining.v, remaining.q, remaining.w, self._left)
         self.command(self._left, now_s)
         self.manipulator.relate_setpoint(self._now.setpoint)

@@ -19,6 +19,7 @@ from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate, Tick
+from hil.loop.run_plan import RunPlan
 from hil.loop.target_axes import TargetAxes
 from hil.safety.monitor import hold_trip
 
@@ -40,39 +41,35 @@ ProgressCallback = Callable[[Mode, float], None]
 
 
 class MotionSequencer:
-    """Executes motion commands while the loop is open. Each method returns with the axes at rest.
-
-    step_s: period of ``rate``, of which a cycle has ``ticks_per_cycle``.
-    """
+    """Executes motion commands while the loop is open. Each method returns with the axes at rest."""
 
     def __init__(
         self,
         loop: Loop,
         rate: Rate,
         overrun_monitor: OverrunMonitor,
-        step_s: float,
+        plan: RunPlan,
         operator: Operator,
         on_progress: ProgressCallback,
-        ticks_per_cycle: int = 1,
     ) -> None:
         self.loop = loop
         self._rate = rate
         self._overrun_monitor = overrun_monitor
-        self._step_s = step_s
+        self._step_s, self._settle_s = plan.tick_s, plan.settle_s
         self._operator = operator
         self._on_progress = on_progress
         self.safety = loop.bench.safety
         self.modes = self.safety.modes
         self.ticks = 0
-        self._ticks_per_cycle = ticks_per_cycle
-        self.progress_ticks = PROGRESS_CYCLES * ticks_per_cycle
+        self._ticks_per_cycle = plan.ticks
+        self.progress_ticks = PROGRESS_CYCLES * plan.ticks
         """Ticks between two reports of progress."""
         self._newest: Tick
         self._target_is_placed = False  # as are further axes, until the next standby
         self.warning_s = 0.0
         """Duration of the warning before the next motion; 0 after it."""
-        self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
-        self.link_check_cycles = max(1, self._link_check_ticks // ticks_per_cycle)
+        self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / plan.tick_s))
+        self.link_check_cycles = max(1, self._link_check_ticks // plan.ticks)
         """Cycles between two checks of the links in the closed loop."""
 
     def tick(self) -> Tick:
@@ -254,7 +251,7 @@ class MotionSequencer:
         cycle = 0
         while True:
             moved_s = cycle * self._step_s  # a late cycle delays the move
-            ended = move.duration_s - moved_s < _NO_MOVE_S
+            ended = move.duration_s + self._settle_s - moved_s < _NO_MOVE_S
             if ended and self._is_at(target) and bench.at_rest(tick.now_s):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:

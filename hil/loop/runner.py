@@ -6,10 +6,8 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Final
-
-import numpy as np
 
 from hil.core import alarm_table as table
 from hil.core.alarm_table import alarm_from_error
@@ -21,13 +19,14 @@ from hil.core.operator_commands import STOP_SIGNALS, TOO_LATE, Operator, Operato
 from hil.core.realtime import DefaultScheduling, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip, one_line
-from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop, RootCause
+from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, ControlledStop, RootCause
 from hil.loop.cycle import Cycles, CyclesOf, Loop, PythonCycles
 from hil.loop.loop_watch import LoopWatch
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer
 from hil.loop.outcome import Outcome
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
+from hil.loop.run_plan import RunPlan
 from hil.loop.session_parts import SessionParts
 
 COMPLETED = "completed"
@@ -37,33 +36,6 @@ _STEP_S: Final = 2.0  # wall time for a step of a plug-in in real time, in which
 _CAUSED_BY_PAUSES: Final = tuple(
     kind.code for kind in (table.SAFETY_CHAIN, table.AGE_OF_SETPOINT, table.AGE_OF_FEEDBACK, table.FOLLOWING_ERROR)
 )
-
-
-@dataclass(frozen=True, slots=True)
-class RunPlan:
-    """Length of a run and its end points. step_s: period of the ``cycles`` cycles, s, of ``ticks`` setpoints each.
-
-    frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
-    complete run if ``park_after_run``. brakes: holding brakes of the axes. until_stopped: the operator ends the closed
-    loop, which is no fault. warning_s: duration of the warning before the first motion. step_timeout_s: wall time after
-    which a step of a plug-in that does not return ends a run that does not keep real time.
-    """
-
-    step_s: float
-    cycles: int
-    frames_to_arm: int
-    park_position: np.record | None = None
-    park_after_run: bool = False
-    brakes: BrakeTimes = field(default_factory=BrakeTimes)
-    ticks: int = 1
-    until_stopped: bool = False
-    warning_s: float = 0.0
-    step_timeout_s: float = 60.0
-
-    @property
-    def tick_s(self) -> float:
-        """Period of the rate keeper, s."""
-        return self.step_s / self.ticks
 
 
 class Runner:
@@ -92,9 +64,7 @@ class Runner:
         self._plan = plan
         self._on_progress = parts.on_progress
         self._modes = self.safety.modes
-        self._sequencer = MotionSequencer(
-            loop, rate, overrun_monitor, plan.tick_s, self.operator, parts.on_progress, plan.ticks
-        )
+        self._sequencer = MotionSequencer(loop, rate, overrun_monitor, plan, self.operator, parts.on_progress)
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """Events of the bench: holds, changed settings."""

@@ -1,4 +1,4 @@
-"""Axes other than rails and turntable: held at their place during a run, or a manipulator that shows the rotation."""
+"""Axes other than rails and turntable: held at their place during a run, or those that move the target in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.bench import kinematics, manipulator
 from hil.bench.manipulator import ChaserMotion
-from hil.config.rig import HeldAtPlace, RotaryManipulator
+from hil.config.rig import HeldAtPlace, RotaryManipulator, TargetManipulator
 from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
@@ -128,11 +128,11 @@ class AxesTogether:
             group.close()
 
 
-class RotatedTarget(TargetAxes):
-    """Target on the gimbals of ``config``.
+class TargetInMotion(TargetAxes):
+    """Target that the axes of ``config`` move in a run.
 
-    params: MANIPULATOR. bench: BENCH_PARAMS of the chaser's rig. limits: BENCH_PARAMS with the limits of the gimbals.
-    q_CH: (4,), attitude of the chaser at the start of a run.
+    params: MANIPULATOR. bench: BENCH_PARAMS of the chaser's rig. limits: BENCH_PARAMS with the limits of these axes.
+    start: record of the truth at the start of a run. sink: of HELD_SAMPLE for rails, of MANIPULATOR_SAMPLE otherwise.
     """
 
     jogs_before_homing = False
@@ -140,29 +140,30 @@ class RotatedTarget(TargetAxes):
     def __init__(
         self,
         axes: AxisGroup,
-        config: RotaryManipulator,
+        config: RotaryManipulator | TargetManipulator,
         params: np.record,
         bench: np.record,
         limits: np.record,
-        q_CH: Array,
+        start: np.record,
         sink: Telemetry | None = None,
     ) -> None:
         self._given = kernel_record(limits)
-        super().__init__(axes, config, manipulator.start_angles(params, limits, q_CH), first=3)
+        at = manipulator.start_axes(params, bench, limits, start.r_CT_H, start.q_CH)
+        super().__init__(axes, config, at, manipulator.places(params).start)
         self.params = params
         self._sink = sink or NoTelemetry()
-        self._sample = np.zeros(1, MANIPULATOR_SAMPLE)
+        self._sample = np.zeros(1, HELD_SAMPLE if params.rails else MANIPULATOR_SAMPLE)
         self._bench, self._rest_radps = bench, config.si("speed_mismatch_max")
-        self._largest = np.zeros((3, 3))  # angle, rate, following error
+        self._largest = np.zeros((3, 3))  # position, rate, following error
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
-        """Move all axes slowly to the angles of the start pose and wait until they are at rest there."""
+        """Move all axes slowly to their positions for the start pose and wait until they are at rest there."""
         super().place(tick, step_s)
         self._stand_at(self.place_at)
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes, roll, pitch and yaw."""
+        """Names of the axes."""
         return self.axes.axis_names
 
     def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
@@ -187,6 +188,11 @@ class RotatedTarget(TargetAxes):
         """Send the last setpoints of all axes, and the encoders that this cycle has read, to the sink."""
         row, (rails, turntable) = self._sample, chaser.feedback
         row["t_s"], row["sampled_s"] = t_s, self.feedback.t_s - run_zero_s
+        if self.params.rails:
+            row["setpoint"][0, :3], row["position"][0, :3] = self._accepted, self.feedback.position
+            row["rate"][0, :3] = self.feedback.rate
+            self._sink.put(row)
+            return
         row["setpoint"]["angle_rad"], row["setpoint"]["rate_radps"] = self._accepted, self._expected_rate
         row["feedback"]["angle_rad"], row["feedback"]["rate_radps"] = self.feedback.position, self.feedback.rate
         row["chaser_setpoint"] = chaser.accepted
@@ -196,12 +202,14 @@ class RotatedTarget(TargetAxes):
         self._sink.put(row)
 
     def numbers(self) -> dict[str, Any]:
-        """Return the largest angles, rates and following errors of roll, pitch and yaw, for the JSON."""
-        names = ("angle_max_deg", "rate_max_degps", "following_error_max_deg")
-        return {name: np.degrees(row).tolist() for name, row in zip(names, self._largest, strict=True)}
+        """Return the largest positions, rates and following errors of the three axes, for the JSON."""
+        names, scale = ("angle_max_deg", "rate_max_degps", "following_error_max_deg"), math.degrees(1.0)
+        if self.params.rails:
+            names, scale = ("position_max_m", "rate_max_mps", "following_error_max_m"), 1.0
+        return {name: (scale * row).tolist() for name, row in zip(names, self._largest, strict=True)}
 
     def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> ChaserMotion:
-        """Return what the chaser's rig has to show of a pose at rest, with the manipulator at its place."""
+        """Return what the chaser's rig has to show of a pose at rest, with the target at its place."""
         rest = np.zeros(3)
         return manipulator.shown_motion(self.params, self.place_at, rest, ChaserMotion(r_CT_H, rest, q_CH, rest))
 
@@ -211,9 +219,11 @@ class RotatedTarget(TargetAxes):
         Returns what is left for the chaser's rig: the motion in L.
         """
         setpoint, out = self._wanted, self._next
-        setpoint.gimbal_rad, setpoint.gimbal_radps = manipulator.wanted_angles(
-            self.params, relative.q, relative.w, self._motion.position[3:]
-        )
+        at, rates = manipulator.wanted_axes(self.params, self._bench, relative, self._motion.position[3:])
+        if self.params.rails:
+            setpoint.rail_m, setpoint.rail_mps = at, rates
+        else:
+            setpoint.gimbal_rad, setpoint.gimbal_radps = at, rates
         kinematics.limit_setpoint(self._limits, self._motion, setpoint, out)
         self._send(now_s)
         return manipulator.shown_motion(self.params, self._expected, self._expected_rate, relative)
@@ -225,7 +235,7 @@ class RotatedTarget(TargetAxes):
     def _limits_of(self, step_s: float) -> np.record:
         return self._given
 
-    def _relate(self, axes: np.record, target_rad: Array) -> None:
+    def _relate(self, axes: np.record, target_at: Array) -> None:
         axes.rail_m, axes.gimbal_rad = manipulator.relative_axes(
-            self._bench, self.params, axes.rail_m, axes.gimbal_rad, target_rad
+            self._bench, self.params, axes.rail_m, axes.gimbal_rad, target_at
         )

@@ -11,9 +11,9 @@ from hil.bench.bench_guard import BENCH_GUARD_PARAMS
 from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS, axes_of_pose, pose_on_bench
-from hil.bench.manipulator import MANIPULATOR
+from hil.bench.manipulator import MANIPULATOR, places
 from hil.config.bench_geometry import errors_as_built, measured_errors
-from hil.config.rig import BenchAxis, Rig
+from hil.config.rig import BenchAxis, Rig, TargetManipulator
 from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
@@ -44,6 +44,7 @@ def bodies(
     return record
 
 
+_LEAST_M = 1e-9  # travel of both vehicles along an axis
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
 _FREE = np.finfo(np.float32).max  # m, m/s, ...: no limit, and still a number
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
@@ -97,18 +98,30 @@ def ideal_axes(rig: Rig, axes: Array) -> Array:
 
 
 def manipulator(rig: Rig) -> np.record | None:
-    """Return MANIPULATOR of the rig's rotary manipulator; None without one."""
-    if (config := rig.rotated_target) is None:
-        return None
+    """Return MANIPULATOR of the axes that move the rig's target in a run; None without any."""
     params = new(MANIPULATOR)
-    params.order, params.arm = _order(config.gimbal_order), config.lever_arm_m
+    if (rotated := rig.rotated_target) is not None:
+        params.order, params.arm = _order(rotated.gimbal_order), rotated.lever_arm_m
+        return params
+    if (rails := rig.shared_rails) is None:
+        return None
+    params.rails, params.to_H = 1, np.array(rig.bench.lab_axes).T
+    params.points = n = len(rails.path_s)
+    params.path_s[:n], params.path_m[:n] = rails.path_s, np.reshape(rails.path_m, (n, 3))
+    low, high = np.array([axis.si("travel") for axis in rails.axes]).T
+    chaser_low, chaser_high = np.array([axis.si("travel") for axis in rig.rails.axes]).T
+    travel = high - low
+    fraction = travel / np.maximum(travel + chaser_high - chaser_low, _LEAST_M)
+    params.fraction, params.offset = fraction, high - fraction * (high - chaser_low)
     return params
 
 
 def manipulator_limits(rig: Rig, step_s: float) -> np.record:
-    """Return BENCH_PARAMS with the limits of the rotary manipulator in place of the turntable's; its rails stand."""
-    assert rig.rotated_target is not None
-    return limits_of(rig.rotated_target.axes, step_s, 3)
+    """Return BENCH_PARAMS with the limits of the target's axes, see ``places``; others stand."""
+    target, params = rig.rotated_target or rig.shared_rails, manipulator(rig)
+    assert target is not None
+    assert params is not None
+    return limits_of(target.axes, step_s, places(params).start)
 
 
 def limits_of(axes: Sequence[BenchAxis], step_s: float, first: int = 0) -> np.record:
@@ -119,6 +132,23 @@ def limits_of(axes: Sequence[BenchAxis], step_s: float, first: int = 0) -> np.re
     params.q_HL[3] = 1.0
     _set_axes(params, slice(first, first + len(axes)), axes)
     return params
+
+
+def _set_braking_of_both(params: np.record, rails: TargetManipulator) -> None:
+    """Let ``params`` (BENCH_GUARD_PARAMS) bound the approach of two vehicles that brake on their own.
+
+    The chaser brakes from the relative speed v and that of the target u, the target at once at worst: with the lesser
+    deceleration a the distance is at most ``(v + u)^2 / (2 a) = v^2 / (2 a) + v u / a + u^2 / (2 a)``. Vehicles that
+    share by their travel move against each other: v is the sum of their speeds, and u is not needed.
+    """
+    own = [axis.limits[3] for axis in rails.axes if not axis.is_fixed]
+    deceleration, speed_mps = min(float(params.deceleration), *own), rails.path_speed_mps
+    params.deceleration = deceleration
+    params.reaction_s += speed_mps / deceleration
+    ahead_m = speed_mps * speed_mps / (2.0 * deceleration)
+    params.distance += ahead_m
+    params.zone.plane += ahead_m
+    params.zone.radius += ahead_m if params.zone.radius > 0.0 else 0.0
 
 
 def _decelerations(axes: np.record) -> tuple[float, float]:
@@ -160,8 +190,8 @@ def following_limits(rig: Rig) -> tuple[list[float], list[float]]:
 def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return GUARD: following errors, travel, bodies of the bench, and the scenario's keep-out.
 
-    The keep-out by the encoders is off without the bench guard, without encoders, and with a target that rotates on a
-    manipulator: the axes of the chaser's rig alone do not show where its reference point is.
+    The keep-out by the encoders is off without the bench guard, without encoders, and with a target that moves in a
+    run: the axes of the chaser's rig alone do not show where its reference point is. The bench guard has it.
     """
     axes, guard = bench(rig, scenario.step_s, scenario.bench), new(GUARD)
     geometry = rig.bench
@@ -169,7 +199,7 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
     guard.homed, guard.zone = 1, keep_out_zone(scenario)
     guard.zone.axis = quat.transform_back(axes.q_HL, guard.zone.axis)  # the guard volume is in L
-    if rig.rotated_target is not None or rig.floating is not None or not rig.guard.enabled:
+    if rig.moving_target is not None or rig.floating is not None or not rig.guard.enabled:
         guard.zone.radius, guard.zone.plane = 0.0, -math.inf
     guard.arm, guard.arm_length = axes.lever_arm, linear.length(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
@@ -190,11 +220,13 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     if rig.floating is not None:
         params.deceleration = scenario.gnc.abort.brake_mps2
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
+    params.distance = scenario.keep_out.distance_m
+    if rig.shared_rails is not None:
+        _set_braking_of_both(params, rig.shared_rails)
     params.chaser, params.target = (
         bodies(scenario.keep_out.bodies, "chaser"),
         bodies(scenario.keep_out.bodies, "target"),
     )
-    params.distance = scenario.keep_out.distance_m
     params.arm = linear.length(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles

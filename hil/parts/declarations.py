@@ -175,7 +175,7 @@ WIRES: Final = Part(
         "hil.drivers.line_sensor", "hil.drivers.loop_thread",
         "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.returned",
         "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.absent",
-        "hil.drivers.vmu.codec", "hil.drivers.vmu.datagrams", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",
+        "hil.drivers.vmu.codec", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",
         "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender", "hil.drivers.vmu.text_codec",
         "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock",
     ),
@@ -349,7 +349,15 @@ TRACKER: Final = Part(
     attach="hil.parts.tracker.session:attach",
     each_cycle=True,
     preflight="hil.parts.tracker.preflight:checks",
-    sinks={"tracker_samples": PartSink(1024, "/tracker", "hil.TrackerSample", "hil.parts.tracker.rows:SAMPLE_FIELDS")},
+    sinks={
+        "tracker_samples": PartSink(
+            1024,
+            "/tracker",
+            "hil.TrackerSample",
+            "hil.parts.tracker.rows:SAMPLE_FIELDS",
+            "hil.parts.tracker.rows:offsets",
+        )
+    },
     sections={"bench_truth": "hil.parts.tracker.results:section"},
 )
 

@@ -17,7 +17,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Final
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -41,6 +40,7 @@ from mcap.records import (
 
 from hil.core.files import MIB, check_regular
 from hil.errors import BadInput
+from hil.recording import lz4_frame
 
 OWN_LIBRARY: Final = "hil "
 """Beginning of the library in the header of a file that this program has written."""
@@ -270,7 +270,7 @@ class Scan:
             unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW_BYTES_MAX)
             data = unpacker.decompress(data, max_output_size=max(1, size))
         elif record.compression == "lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+            data = lz4_frame.unpacked(data, size, record.uncompressed_crc != 0)
         if len(data) != size or record.uncompressed_crc not in (0, zlib.crc32(data)):
             raise ValueError("checksum")
         return data

@@ -202,7 +202,7 @@ class _InMemory:
 
     def __init__(self, path: Path, header: RecordingHeader) -> None:
         self._file = PartedFile(path, header)
-        self._run_time = RunTime.create()
+        self._run_time = RunTime()
         self.state: MailboxBlock | None = None
         self.sinks = RecordingSinks(
             **{name: _FileSink(write) for name, write in self._file.writers.items()}, run_time=self._run_time
@@ -225,7 +225,7 @@ class _RecorderProcess:
             for name, dtype in recorder.ring_dtypes().items()
             if name in required
         }
-        self._run_time = RunTime.create()
+        self._run_time = RunTime()
         self.sinks = RecordingSinks(**self._rings, run_time=self._run_time)
         self.state: MailboxBlock | None = MailboxBlock.create(recorder.STATE_MAILBOX, "recorder")
         configuration = {

@@ -44,7 +44,7 @@ class BenchErrorSums:
         # of bench and estimate, before the navigation has settled and from then on
         self._shares = [[(Squares(), Squares()) for _ in ("position", "attitude")] for _ in ("before", "settled")]
         self._work = np.zeros(4)
-        self._is_relative = rig.rotated_target is not None
+        self._is_relative = rig.moving_target is not None
         self._unseen = np.zeros(6) if rig.hidden else None
 
     def add(self, history: np.ndarray) -> None:

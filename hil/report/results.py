@@ -347,7 +347,7 @@ class RunResults(Results):
     timing: Timing = row("", "overruns, periods lost", lambda of: f"{of.overruns}, {of.skipped_periods}")
     clocks: dict[str, Any] | None = row("PTP and steps of the system's time, on wires")
     truth: dict[str, Any] | None = row("device that measures a truth that is not simulated, its sigmas; else null")
-    manipulator: dict[str, Any] | None = row("largest angles, rates and errors of the rotary manipulator")
+    manipulator: dict[str, Any] | None = row("largest positions, rates and errors of the axes that move the target")
     held_axes: dict[str, Any] | None = row("largest distances of further axes from their places, m or deg, by name")
     sensors: dict[str, dict[str, Any]] | None = row("[further sensors](../../explanation/sensors.md) by name")
     imu: dict[str, int] | None = row("of an IMU on a wire: frames, and those that could not be read, by reason")

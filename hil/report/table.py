@@ -205,7 +205,7 @@ def _energy_text(part: results.Energy) -> str:
 
 def _view_text(part: results.FieldOfViewResults) -> str:
     if part.at_s is None:
-        return "no vision unit" if part.passed else "no cycle was run"
+        return "no LED has to be in view" if part.passed else "no cycle was run"
     margin = "behind a camera" if part.margin_px is None else f"least margin {part.margin_px:.0f} px"
     return f"{margin} at {part.at_s:.2f} s, range {part.range_m:.2f} m"
 

@@ -258,7 +258,7 @@ class FieldOfView:
         self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
         self._mounting = vmu_params.mounting(rig)
         self._camera, self._leds = vmu_params.camera(rig)
-        self._has_vmu = rig.has_vmu
+        self._is_needed = rig.has_vmu and scenario.vmu.errors.needs_view
         self._least_px, self._at_s, self._range_m = math.inf, math.nan, math.nan
         self._rows = self._lost = 0
 
@@ -276,8 +276,8 @@ class FieldOfView:
 
     def part(self) -> results.FieldOfViewResults:
         """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
-        if not (self._rows and self._has_vmu):  # without a vision unit nothing has to be in view
-            return results.FieldOfViewResults(passed=not self._has_vmu)
+        if not (self._rows and self._is_needed):  # without a vision unit, or with a tracker, nothing has to be in view
+            return results.FieldOfViewResults(passed=not self._is_needed)
         return results.FieldOfViewResults(
             passed=bool(self._least_px >= 0.0),
             margin_px=finite_or_none(self._least_px),

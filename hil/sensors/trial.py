@@ -1,23 +1,70 @@
-"""One call of the kernels of a sensor module, as the loop calls them, and the rehearsal of each module before a run."""
+"""The two kernels of a sensor module as C functions, which the loop calls by their addresses, and their rehearsal.
+
+The machine code is kept in the cache of the bench's kernels, as that of a backend.
+"""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from functools import cache
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.core.errors import NumbaError
+from numba.np.numpy_support import carray
 
+from hil.core.jit import c_function
 from hil.core.messages import Array, new
-from hil.core.own_kernel import raised_by
+from hil.core.own_code import compile_error
+from hil.core.own_kernel import own_kernel, raised_by
 from hil.core.plug_ins import kernel_errors, raised_text
-from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
+from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_SAMPLE, SENSOR_TRUTH
 from hil.errors import BadInput
-from hil.sensors.compiled import DONE, Addresses, addresses
-from hil.sensors.module import SensorKind
+from hil.sensors.module import SensorKind, SensorModule
 
+_DONE: Final = 1  # returned by the C function of a kernel, unless the kernel has raised
+_ARGUMENTS: Final = {"measure": (SENSOR_TRUTH, SENSOR_OUTPUT), "innovate": (SENSOR_ESTIMATE, SENSOR_INNOVATION)}
 _RANGE_M = 5.0
 _OUTPUT = ("value", "h", "noise")
 """Fields of an innovation with one row per component."""
+
+
+class Addresses(NamedTuple):
+    """Addresses of ``int f(first record, second record, settings)``."""
+
+    measure: int
+    innovate: int
+
+
+@cache
+def addresses(sensor: SensorKind) -> Addresses:
+    """Return the addresses of the compiled kernels of a module. Raises BadInput if one does not compile."""
+    return Addresses(*(_compiled(sensor.module, name, _layout(sensor)) for name in _ARGUMENTS))
+
+
+def _layout(sensor: SensorKind) -> np.dtype:
+    return np.dtype([(setting.name, "f8") for setting in sensor.settings] or [("none", "f8")], align=True)
+
+
+def _compiled(module: type[SensorModule], name: str, settings: np.dtype) -> int:
+    function: Callable[..., Any] = own_kernel(getattr(module, name))
+    first_layout, second_layout = _ARGUMENTS[name]
+
+    def call(first, second, values):  # type: ignore[no-untyped-def]
+        function(  # what it raises goes to sys.unraisablehook, and the result is 0
+            carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
+            carray(second, (1,), second_layout)[0],
+        )  # fmt: skip
+        return _DONE
+
+    try:
+        return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))
+    except (NumbaError, KeyError) as error:
+        reason = compile_error(error, getattr(module, name), settings, first_layout, second_layout, SENSOR_SAMPLE)
+        text = f"{module.__name__}.{name} does not compile: {reason}"
+        raise BadInput.single("hil sensors", module.kind, text) from error
 
 
 class Trial:
@@ -54,14 +101,13 @@ class Trial:
     def _call(self, name: str, first: np.record, second: np.record) -> None:
         with kernel_errors():
             code = self._functions[name](_address(first), _address(second), self._values.ctypes.data)
-        if code != DONE:
+        if code != _DONE:
             raise self._refusal(name, first, second)
 
     def _refusal(self, name: str, first: np.record, second: np.record) -> BadInput:
         """Return the error of a kernel that has raised."""
-        module, settings = self._sensor.module, self._sensor.settings
-        layout = np.dtype([(setting.name, "f8") for setting in settings] or [("none", "f8")], align=True)
-        error = raised_by(getattr(module, name), self._values.view(layout)[0], first, second)
+        module, values = self._sensor.module, self._values.view(_layout(self._sensor))
+        error = raised_by(getattr(module, name), values[0], first, second)
         return BadInput.single("hil sensors", module.kind, f"{module.__name__}.{raised_text(name, error)}")
 
 

@@ -39,12 +39,13 @@ from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set
 from hil.loop.cycle import CyclesOf, Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.runner import Runner, RunPlan
+from hil.loop.run_plan import RunPlan
+from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIo, SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.session_parts import SessionParts
 from hil.loop.stages import DssStage, FrameUsed, RunZero, VisionStage
-from hil.loop.target_stage import AxesTogether, HeldAxes, RotatedTarget
+from hil.loop.target_stage import AxesTogether, HeldAxes, TargetInMotion
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -68,6 +69,7 @@ ROWS_MAX = 100_000
 _UNTIL_STOPPED_CYCLES = 2**40
 _NO_VISION_M = 1e-3  # range up to which poses are expected
 _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
+_SETTLED = 5.0  # lags after which a robot is within 1 % of its last motion
 
 
 class Devices(NamedTuple):
@@ -211,12 +213,12 @@ def assemble(
     scenario, sinks = job.scenario.value, parts.sinks
     safety = SafetyMonitor(safety_limits(rig, memory.params.guard), devices.axis_names, _links(rig, devices))
     lines = _safety_io(rig, devices.io, memory)
-    rotated, held = _target(job, rig, devices, sinks)
+    moving, held = _target(job, rig, devices, sinks)
     inputs = SafetyInputs(lines.emergency_input, lines.local_enable) if lines else NO_INPUTS
     measured = _measured_truth(memory, rig)
     axes = devices.rails, devices.turntable, memory, safety
     floats = measured.bench(axes, inputs, lines) if measured is not None and lines is not None else None
-    stage = floats or BenchStage(*axes, rotated, inputs)
+    stage = floats or BenchStage(*axes, moving, inputs)
     sensors = _sensors(job, rig, devices, stage, memory, parts)
     gnc, on_frame_used = _backend(job, rig, rate, memory)
     gnc.request_hold = safety.request_hold
@@ -233,7 +235,7 @@ def assemble(
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=reduce(lambda rows, layer: layer(rows), parts.layers, parts.telemetry or NoTelemetry()),
         safety_io=lines or SafetyIo(),
-        target=AxesTogether([*([rotated] if rotated else []), *held.values()]),
+        target=AxesTogether([*([moving] if moving else []), *held.values()]),
         run_zero=RunZero(parts.on_run_zero),
         axis_faults=_axis_faults(job, devices, memory),
         bench_now_s=rate.now_s,
@@ -264,13 +266,14 @@ def assemble(
         job.until_stopped,
         rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
         rig.host.lock_step_timeout_s,
+        _SETTLED * max((robot.lag_s or 0.0 for robot in rig.robots.values()), default=0.0),
     )
     if sensors is not None:
         parts.meters["sensors"] = sensors.numbers
     if measured is not None:
         parts.meters["truth"] = measured.numbers
-    if rotated is not None:
-        parts.meters["manipulator"] = rotated.numbers
+    if moving is not None:
+        parts.meters["manipulator"] = moving.numbers
     if rig.held_axes:
         parts.meters["held_axes"] = lambda: {name: held[name].numbers() for name in rig.held_axes}
     runner = Runner(loop, rate, overrun_monitor, plan, parts, cycles)
@@ -302,22 +305,23 @@ def _axis_faults(job: Job, devices: Devices, memory: CoreMemory) -> Callable[[fl
 
 def _target(
     job: Job, rig: Rig, devices: Devices, sinks: Mapping[str, Telemetry]
-) -> tuple[RotatedTarget | None, dict[str, HeldAxes]]:
-    """Return the axes that rotate the target in the run, and those that are held at their places, by name."""
+) -> tuple[TargetInMotion | None, dict[str, HeldAxes]]:
+    """Return the axes that move the target in the run, and those that are held at their places, by name."""
     groups, sink = {"target": devices.target, **devices.held}, sinks.get("held_samples")
     held: dict[str, HeldAxes] = {}
     for number, (name, table) in enumerate(rig.groups_at_places.items()):
         axes = groups[name]
         assert axes is not None
-        held[name] = HeldAxes(axes, table, number, sink)
-    if devices.target is None or rig.rotated_target is None:
+        if table is not rig.shared_rails:
+            held[name] = HeldAxes(axes, table, number, sink)
+    if devices.target is None or (config := rig.moving_target) is None:
         return None, held
     step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)
     assert params is not None
-    start = dynamics_params.initial_truth(job.truth).q_CH
+    start = dynamics_params.initial_truth(job.truth)
     bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
-    sink = sinks.get("manipulator_samples")
-    return RotatedTarget(devices.target, rig.rotated_target, params, bench, limits, start, sink), held
+    sink = sink if params.rails else sinks.get("manipulator_samples")
+    return TargetInMotion(devices.target, config, params, bench, limits, start, sink), held
 
 
 def _sensors(
@@ -338,16 +342,16 @@ def _sensors(
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:
     """Return what gives the positions of rails and turntable, m and rad, that a modelled sensor on the bench sees."""
-    target, rotated = devices.target, bench.manipulator
+    target, moving = devices.target, bench.manipulator
 
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
             positions = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
             positions = bench.feedback[0].position, bench.feedback[1].position
-        if rotated is not None:
-            at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
-            return relative_axes(bench.params, rotated.params, *positions, at)
+        if moving is not None:
+            at = target.servo.position if isinstance(target, MockAxes) else moving.feedback.position
+            return relative_axes(bench.params, moving.params, *positions, at)
         return positions
 
     return axes

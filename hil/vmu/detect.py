@@ -24,7 +24,7 @@ from hil.vmu.kernels.search import TOO_MANY, detect
 _MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 6
 _STEPS_TRIES: Final = 2
-_MOST_WORK: Final = 3.5e7  # products of the fits in one image: about 35 ms
+_MOST_WORK: Final = 3e7  # products of the fits in one image: about 30 ms
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
 _PRIOR_WEIGHT: Final = 2000.0

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Final
 
 import numpy as np
@@ -82,27 +81,24 @@ class LensGhosts:
 
     def _candidates(self, leds: np.ndarray, lights: np.ndarray) -> Iterator[Ghost]:
         """Yield the ghosts by which two LEDs far apart have two of ``lights``."""
-        places = _pixels(leds)
+        places, pixels = _pixels(leds), _pixels(lights)
         apart = np.linalg.norm(places[:, None] - places, axis=2)
         a, b = np.unravel_index(int(apart.argmax()), apart.shape)
         pairs = {(int(a), int(b)), (int(b), int(np.argsort(apart[b])[-2]))}  # one of them may have its ghost elsewhere
+        first, second = pixels[:, None], pixels[None]
         for one, other in pairs:
             along = places[other] - places[one]
-            for i, j in permutations(range(len(lights)), 2):
-                first, second = _pixels(lights[[i, j]])
-                magnification = float((second - first) @ along / (along @ along))
-                if abs(magnification) < _LEAST or _LIKE_ITSELF[0] < magnification < _LIKE_ITSELF[1]:
-                    continue
-                offset = first - magnification * places[one]
-                fixed = np.linalg.norm(offset - (1.0 - magnification) * self._principal)
-                if np.linalg.norm(second - offset - magnification * places[other]) > _REACH_PX:
-                    continue
-                fractions = lights["flux"][[i, j]] / leds["flux"][[one, other]]
-                if (
-                    fixed < _CENTRE_PX * abs(1.0 - magnification)
-                    and abs(math.log(fractions[0] / fractions[1])) < _ALIKE
-                ):
-                    yield Ghost(magnification, offset, float(np.sqrt(fractions.prod())))
+            scale = (second - first) @ along / (along @ along)
+            offset = first - scale[..., None] * places[one]
+            fixed = np.linalg.norm(offset - (1.0 - scale[..., None]) * self._principal, axis=2)
+            missed = np.linalg.norm(second - offset - scale[..., None] * places[other], axis=2)
+            part = np.log(lights["flux"][:, None] / leds["flux"][one]), np.log(lights["flux"] / leds["flux"][other])
+            fits = (np.abs(scale) >= _LEAST) & ((scale <= _LIKE_ITSELF[0]) | (scale >= _LIKE_ITSELF[1]))
+            fits &= (missed <= _REACH_PX) & (fixed < _CENTRE_PX * np.abs(1.0 - scale))
+            fits &= np.abs(part[0] - part[1]) < _ALIKE
+            for i, j in np.argwhere(fits):
+                fraction = math.exp(0.5 * float(part[0][i, 0] + part[1][j]))
+                yield Ghost(float(scale[i, j]), offset[i, j], fraction)
 
 
 def _refined(leds: np.ndarray, lights: np.ndarray, shown: np.ndarray) -> Ghost:

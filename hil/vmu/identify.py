@@ -514,7 +514,7 @@ def without_spots(view: View, fit: np.void) -> View:
         rest = np.setdiff1d(np.arange(view.counts[c]), fit["spot"][c])
         counts[c] = len(rest)
         spots[c, : len(rest)], order[c, : len(rest)] = view.spots[c, rest], view.order[c, rest]
-    return View(spots, counts, order)
+    return view._replace(spots=spots, counts=counts, order=order)
 
 
 def shares_spots(fit: np.void, other: np.void) -> bool:

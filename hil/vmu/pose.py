@@ -14,7 +14,7 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
 from hil.vmu.kernels.budget import chi_square_growth, equations, fill_shared
-from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows
+from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows, mark_near
 from hil.vmu.kernels.pose_search import (
     SEARCH,
     STATE_FITS,
@@ -25,16 +25,17 @@ from hil.vmu.kernels.pose_search import (
     add_settled,
     search,
 )
-from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPOT_RAY, RingScene, View
+from hil.vmu.kernels.records import CELLS, FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPOT_RAY, RingScene, View
 from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
-_MOST_TRIPLES, _TRIPLES_PER_START = 18_000, 12  # pairings of three spots with three LEDs for a pair: about 70 ms
+_MOST_TRIPLES, _TRIPLES_PER_START = 18_000, 15  # pairings of three spots with three LEDs for a pair: about 40 ms
 _COARSE = 5.0  # sigmas
 _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
+_TURNED_RIGHT = np.array([SHARED - 6, SHARED - 5])  # the right camera about its u and v axes, in the tolerance
 OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
 _USUAL_MPS, _USUAL_RADPS, _USUAL_RANGE_M = 0.3, 0.05, 3.0  # of a target without a track
 _TYPICAL_RANGE_M = 1.5  # at which they assess the tolerances
@@ -102,11 +103,10 @@ class Solver:
         self.settings = settings
         self.scene = scene_of(geometry, settings)
         self._still, self._sync_s = self.scene.tolerance, geometry.tolerances.sync_s
-        moving = _with_motion(self.scene, self._still, self._sync_s, _USUAL_MOTION)
-        self.slack = _slack(self.scene._replace(tolerance=moving))
-        """Variance per camera, px^2, that gates and search add to a spot's, (2,)."""
         self._rolling = bool(self.scene.lens["row_s"].any())
-        self.consider_motion(None)
+        self.begin_pair(None, geometry.tolerances.vibration_px)
+        self.slack = _slack(self.scene)
+        """Variance per camera, px^2, that gates and search add to a spot's, (2,)."""
         self.normal_t = thin_axis(self.scene.leds)
         self.centre_t = np.asarray(self.scene.leds.mean(axis=0))
         self._search = np.zeros(1, SEARCH).view(np.recarray)[0]
@@ -120,44 +120,43 @@ class Solver:
         self._fits = np.zeros(_FITS + 1, FIT)
         self._settled = np.zeros(_FITS + 1, FIT)
         self._state = np.zeros(STATE_WIDTH, np.int64)
-        self._triples = _MOST_TRIPLES
         self._turns = list(ring_turns(self.scene.leds, self.normal_t))
-
-    def begin_pair(self) -> None:
-        """Allow the searches of another pair of images their time."""
-        self._triples = _MOST_TRIPLES
 
     @property
     def is_exhausted(self) -> bool:
         """Return whether the searches of the pair have taken all of their time, so that not all poses were tried."""
         return self._triples <= 0
 
-    def consider_motion(self, motion: TargetMotion | None) -> None:
-        """Set the target's motion between the exposures of cameras and rows; None: unknown, of usual rates.
+    def begin_pair(self, motion: TargetMotion | None, vibration_px: float) -> None:
+        """Allow the searches of another pair of images their time, and set its motion and the vibration of the cameras.
 
-        A target that moves between them is one at rest for a right camera that moves the other way.
+        motion: of the target between the exposures of cameras and rows; None: unknown, of usual rates. A target that
+        moves between them is one at rest for a right camera that moves the other way.
         """
-        if not (self._sync_s or self._rolling):
-            return
+        self._triples = _MOST_TRIPLES
         motion = motion or _USUAL_MOTION
-        if self._sync_s:
-            self.scene = self.scene._replace(tolerance=_with_motion(self.scene, self._still, self._sync_s, motion))
+        variance = (vibration_px / float(self.scene.lens[0]["fx"])) ** 2
+        if self._sync_s or variance != self.scene.vibration:
+            tolerance = _with_motion(self.scene, self._still, self._sync_s, motion)
+            tolerance[_TURNED_RIGHT, _TURNED_RIGHT] += variance
+            self.scene = self.scene._replace(tolerance=tolerance, vibration=variance)
         if self._rolling:
             self.scene = self.scene._replace(motion=motion.table)
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
         rays, counts = np.zeros((2, MAX_SPOTS), SPOT_RAY), np.zeros(2, np.int64)
-        order = np.zeros((2, MAX_SPOTS), np.int64)
+        order, near = np.zeros((2, MAX_SPOTS), np.int64), np.zeros((2, CELLS, CELLS), np.uint8)
         for c, spots in enumerate((left, right)):
             chosen = np.arange(len(spots))
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
             for k, index in enumerate(chosen):
                 fill_spot_ray(self.scene.lens[c], self.slack[c], spots[index], rays[c, k])
+                mark_near(self.scene.lens[c], rays[c, k], near[c])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
-        return View(rays, counts, order)
+        return View(rays, counts, order, near)
 
     def hypotheses(self, view: View, prediction: Prediction | None = None, level: int = 0) -> tuple[np.ndarray, bool]:
         """Return all distinct poses (FIT) that the spots allow, and whether none was dropped for lack of capacity.
@@ -265,7 +264,7 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
     moved = _USUAL_MOTION.table
-    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, moved)
+    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, moved, 0.0)
 
 
 def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMotion) -> Array:

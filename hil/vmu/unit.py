@@ -40,6 +40,7 @@ from hil.vmu.partial import PartialPose, partial_pose
 from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.reflections import Doubt, doubt_of_lights
 from hil.vmu.track import Track, TrackSettings
+from hil.vmu.vibration import Vibration, with_pointing
 
 PREDICTED: Final = "predicted"
 SUSPECT: Final = "suspect"
@@ -186,6 +187,7 @@ class VisionUnit:
         self._jump = Track(self.track.settings)
         self._sample = LongSample()
         self._identifier = Identifier(self.solver, geometry.marked_led)
+        self._vibration = Vibration(geometry.tolerances.vibration_px)
         self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
         self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
@@ -210,8 +212,7 @@ class VisionUnit:
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)
-        self.solver.begin_pair()
-        self.solver.consider_motion(self.track.motion(t_s))
+        self.solver.begin_pair(self.track.motion(t_s), self._vibration.sigma_px)
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         return solution or self._by_search(images, t_s, expected)
 
@@ -255,8 +256,7 @@ class VisionUnit:
     ) -> Solution:
         """Return the solution of spots (SPOT) of the whole images; see ``solve``."""
         expected = prediction or self.track.predict(t_s)
-        self.solver.begin_pair()
-        self.solver.consider_motion(self.track.motion(t_s))
+        self.solver.begin_pair(self.track.motion(t_s), self._vibration.sigma_px)
         view = self.solver.view(left, right)
         verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
         verdict = verdict or self._identifier.search(view, expected, self.track.is_mature)
@@ -417,13 +417,16 @@ class VisionUnit:
             expected = self._predicted(t_s, verdict.status, spots)
             return expected if expected.pose is not None else self._partly(verdict, view, spots, t_s)
         self._sample.clear()
-        fit = with_strained_tolerances(verdict.fit)
+        fit = with_pointing(with_strained_tolerances(verdict.fit), self.solver.scene.vibration)
         self.track.update(t_s, fit)
         doubt = doubt_of_lights(self.solver.scene, view, fit)
         if self.track.poses == 1:
             self._consistency.restart()
+            self._vibration.restart()
+        self._vibration.add(fit)
         if doubt is None:
-            self._consistency.add(view, fit)
+            if self.solver.scene.vibration == 0.0:
+                self._consistency.add(view, fit)
             doubt = self._consistency.doubt
             if self._consistency.refuses:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)

@@ -113,7 +113,9 @@ def drawn(dice: random.Random) -> dict:
     return choices
 
 
-@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 200))])
+@pytest.mark.parametrize(
+    "seed", [*range(6), 154, *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 200) if k != 154)]
+)
 def test_drawn_combination_runs_or_is_refused_by_one_line(seed: int) -> None:
     dice = random.Random(seed)
     habits, incremental = drawn(dice), dice.random() < 0.6

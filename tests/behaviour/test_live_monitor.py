@@ -40,7 +40,7 @@ def monitored(address: str, until: Callable[[RingPortions], None]) -> MonitorOut
     """Return the results of a monitor of the camera at ``address``, which runs until ``until`` returns."""
     scenario = load_scenario("scheme-1", ["monitor.source=camera"]).value
     rig = load_rig("emulated", [*RIG, f'rig.monitor_camera.camera="{address}"']).value
-    clock, run_time = WallClock(), RunTime.create()
+    clock, run_time = WallClock(), RunTime()
     run_time.set_zero(clock.now_s())
     ring, portions = Ring.create(CYCLE, 16), Ring.create(PORTION, 64, "portions")
     times = LiveClock(clock.epoch_ns, clock.speed, run_time.descriptor)

@@ -86,7 +86,7 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
 def test_the_process_searches_the_operators_region_and_shows_it(
     scenario: Scenario, rig: Rig, history: np.ndarray
 ) -> None:
-    ring, pictures, search = Ring.create(CYCLE, 2048), Ring.create(IMAGE, 16), SearchRegion.create()
+    ring, pictures, search = Ring.create(CYCLE, 2048), Ring.create(IMAGE, 16), SearchRegion()
     search.set((0, 0, 120, 90))
     try:
         with MonitorProcess(

@@ -1,4 +1,5 @@
 // Rewrite a recording with @mcap/core: node rewrite_recording.mjs IN OUT BLOCK_MIB none|lz4|zstd SUMMARY(0|1)
+import { execFileSync } from "child_process";
 import fs from "fs";
 import { McapStreamReader, McapWriter } from "@mcap/core";
 import lz4 from "lz4js";
@@ -10,7 +11,9 @@ const decompressHandlers = {
   zstd: (data) => zstd.decompress(data),
   lz4: (data, size) => new Uint8Array(lz4.decompress(data, Number(size))),
 };
-const compressors = { zstd: (data) => zstd.compress(data), lz4: (data) => new Uint8Array(lz4.compress(data)) };
+// by the program of Debian: zstd-codec runs out of memory at 64 MiB
+const byZstd = (input) => new Uint8Array(execFileSync("zstd", ["-q", "-c"], { input, maxBuffer: 2 ** 30 }));
+const compressors = { zstd: byZstd, lz4: (data) => new Uint8Array(lz4.compress(data)) };
 const file = fs.openSync(output, "w");
 let position = 0n;
 const writable = {

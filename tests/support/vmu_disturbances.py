@@ -33,7 +33,7 @@ class CalibrationErrors:
 
     distortion_px: at the image's corner. spot_px: least error of a spot that the geometry file states. sync_s: time
     between the exposures of both cameras that it states. focal_scale, led_scale: of both focal lengths
-    alike, and of the ring.
+    alike, and of the ring. vibration_px: that it states.
     """
 
     principal_point_px: float = 0.0
@@ -46,6 +46,7 @@ class CalibrationErrors:
     sync_s: float = 0.0
     focal_scale: float = 0.0
     led_scale: float = 0.0
+    vibration_px: float = 0.0
 
 
 EXACT = CalibrationErrors()
@@ -225,7 +226,7 @@ class Row:
                 tally.add(solution, truth, time.process_time() - start)
 
 
-def _each(errors: CalibrationErrors, optics: PixelOptics | None = None) -> Frames:
+def each_bench(errors: CalibrationErrors, optics: PixelOptics | None = None) -> Frames:
     """Return frames that each have random errors of the calibration and a random pose."""
 
     def frames(rng: np.random.Generator, count: int) -> Iterable[Frame]:
@@ -329,7 +330,7 @@ def _wrong_ring(rng: np.random.Generator, count: int) -> Iterable[Frame]:
 def _of(name: str, **errors: float) -> Row:
     """Return the row of a single kind of error, which the geometry file states."""
     single = CalibrationErrors(**errors)
-    return Row(name, single, _each(single))
+    return Row(name, single, each_bench(single))
 
 
 _APART = replace(VERY_GOOD, sync_s=0.01)
@@ -344,22 +345,22 @@ _OTHER_GEOMETRY = Expectation(refused=("rejected_geometry_file",))
 _PIECE = 4
 
 ROWS = (
-    Row("clean, known exactly", EXACT, _each(EXACT)),
-    Row("clean, very good calibration stated", VERY_GOOD, _each(EXACT), expected=_SAME),
+    Row("clean, known exactly", EXACT, each_bench(EXACT)),
+    Row("clean, very good calibration stated", VERY_GOOD, each_bench(EXACT), expected=_SAME),
     _of("principal points 0.05 px", principal_point_px=0.05),
     _of("right camera turned 0.01 deg", rotation_deg=0.01),
     _of("LEDs 0.05 mm off", led_m=5e-5),
     _of("LEDs 0.1 mm off", led_m=1e-4),
     _of("focal lengths 0.2 %", focal_fraction=2e-3),
     _of("baseline 0.1 mm", baseline_m=1e-4),
-    Row("coma 0.5 px", VERY_GOOD, _each(VERY_GOOD, PixelOptics(coma_px=0.5))),
-    Row("halo of 10 %", VERY_GOOD, _each(VERY_GOOD, PixelOptics(halo=0.1))),
-    Row("bright textured background", VERY_GOOD, _each(VERY_GOOD, _BRIGHT)),
+    Row("coma 0.5 px", VERY_GOOD, each_bench(VERY_GOOD, PixelOptics(coma_px=0.5))),
+    Row("halo of 10 %", VERY_GOOD, each_bench(VERY_GOOD, PixelOptics(halo=0.1))),
+    Row("bright textured background", VERY_GOOD, each_bench(VERY_GOOD, _BRIGHT)),
     Row("20 false lights", VERY_GOOD, _false_lights(20)),
     Row("50 false lights", VERY_GOOD, _false_lights(50)),
-    Row("very good calibration", VERY_GOOD, _each(VERY_GOOD)),
-    Row("usual calibration", USUAL, _each(USUAL), expected=_USUAL),
-    Row("usual calibration, nothing stated", None, _each(USUAL), expected=_USUAL),
+    Row("very good calibration", VERY_GOOD, each_bench(VERY_GOOD)),
+    Row("usual calibration", USUAL, each_bench(USUAL), expected=_USUAL),
+    Row("usual calibration, nothing stated", None, each_bench(USUAL), expected=_USUAL),
     Row("very good calibration, tracked", VERY_GOOD, approach(VERY_GOOD), tracked=True, piece=_PIECE),
     Row("10 ms between the cameras", _APART, drawn_motion(VERY_GOOD, 0.01)),
     Row(
@@ -384,10 +385,10 @@ ROWS = (
         expected=_NOT_TOGETHER,
     ),
     Row("right images late, stated", _FRAME_APART, drawn_motion(VERY_GOOD, -PERIOD_S), expected=_FRAME_LATER),
-    Row("cameras swapped", VERY_GOOD, _each(VERY_GOOD), swapped=True, expected=_OTHER_GEOMETRY),
+    Row("cameras swapped", VERY_GOOD, each_bench(VERY_GOOD), swapped=True, expected=_OTHER_GEOMETRY),
     Row("wrong ring", VERY_GOOD, _wrong_ring, expected=_OTHER_GEOMETRY),
     Row(
-        "overexposed background", VERY_GOOD, _each(VERY_GOOD, _OVEREXPOSED),
+        "overexposed background", VERY_GOOD, each_bench(VERY_GOOD, _OVEREXPOSED),
         expected=Expectation(refused=("rejected_bright",)),
     ),
 )  # fmt: skip

@@ -9,9 +9,19 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tests.support.disturbance_verdicts import Expectation
-from tests.support.vmu_disturbances import VERY_GOOD, Frame, Frames, Row, real_bench, somewhere
+from tests.support.vmu_disturbances import (
+    USUAL,
+    VERY_GOOD,
+    Frame,
+    Frames,
+    Row,
+    approach,
+    each_bench,
+    real_bench,
+    somewhere,
+)
 from tests.support.vmu_lookalikes import in_space, reflected
-from tests.support.vmu_pixels import Array, PixelOptics
+from tests.support.vmu_pixels import Array, PixelOptics, turned
 
 SIZE = 1024
 Backdrop = Callable[[np.random.Generator], tuple[Array, Array]]
@@ -186,8 +196,23 @@ def dead_leds(rng: np.random.Generator, count: int) -> Iterable[Frame]:
         yield replace(scene, leds_m=scene.leds_m[lit], lights_v=lights), truth
 
 
+def shaken(frames: Frames, sigma_px: float, alike: bool = False) -> Frames:
+    """Return ``frames`` with both cameras turned in each pair otherwise, about their u and v axes."""
+
+    def out(rng: np.random.Generator, count: int) -> Iterable[Frame]:
+        for scene, truth in frames(rng, count):
+            turns = np.zeros((2, 3))
+            turns[:, :2] = rng.normal(0.0, sigma_px / scene.left.fx, (2, 2))
+            left, right = turns[[0, 0]] if alike else turns
+            yield replace(scene, left=turned(scene.left, left), right=turned(scene.right, right)), truth
+
+    return out
+
+
 _SOLVED = {"window with bars": 0.6, "cables": 0.6}  # LEDs on bars and cables are lost with these
 _EITHER = Expectation(refused=("ambiguous", "ok_position", "ok_sight", "too_few"))
+_SHAKEN = Expectation(solved=0.8, drawn=False)
+_VIBRATING = replace(USUAL, vibration_px=1.0)
 
 LAB_ROWS = (
     *(
@@ -200,4 +225,20 @@ LAB_ROWS = (
     Row("reflections below a ring with hidden LEDs", VERY_GOOD, twins, expected=_EITHER),
     Row("reflections beside a ring with hidden LEDs", VERY_GOOD, beside, expected=_EITHER),
     Row("one or two dead LEDs, up to three other lights", VERY_GOOD, dead_leds, expected=Expectation(0.6)),
+    Row(
+        "cameras vibrate by 1 px, tracked",
+        USUAL,
+        shaken(approach(USUAL), 1.0),
+        tracked=True,
+        piece=20,
+        lead_in=4,
+        expected=_SHAKEN,
+    ),
+    Row("cameras vibrate by 1 px, stated", _VIBRATING, shaken(each_bench(USUAL), 1.0), expected=_SHAKEN),
+    Row(
+        "cameras vibrate by 1 px alike, stated",
+        _VIBRATING,
+        shaken(each_bench(USUAL), 1.0, alike=True),
+        expected=_SHAKEN,
+    ),
 )

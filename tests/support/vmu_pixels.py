@@ -7,6 +7,7 @@ model: coma, a halo, a textured background.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,7 +77,8 @@ class PixelScene:
 
     glare: for each camera lights of this image only, rows of u, v, brightness. backdrop: for each camera levels behind
     all, (h, w), and the fraction (h, w) of all light that reaches the sensor. ghost: for each camera the fraction of a
-    light that the lens reflects, its place relative to the centre of the image, and that centre, u and v, px.
+    light that the lens reflects, its place relative to the centre of the image, and that centre, u and v, px. sensor:
+    what the sensor makes of the light of an image, levels, before noise and full scale.
     """
 
     left: PixelCamera
@@ -87,6 +89,7 @@ class PixelScene:
     glare: tuple[Array, Array] = field(default_factory=lambda: (np.zeros((0, 3)), np.zeros((0, 3))))
     backdrop: tuple[tuple[Array, Array], ...] = ()
     ghost: tuple[tuple[float, ...], ...] = ()
+    sensor: Callable[[Array], Array] | None = None
 
     def pair(self, turn: Array, t_v: Array, rng: np.random.Generator) -> tuple[Image, Image]:
         """Return both images of the ring at ``p_v = exp([turn]x) p_t + t_v``."""
@@ -116,7 +119,7 @@ class PixelScene:
         if self.backdrop:
             behind, seen = self.backdrop[side]
             light = (light + behind) * seen
-        light = np.maximum(light, 0.0)
+        light = np.maximum(light if self.sensor is None else self.sensor(light), 0.0)
         variance = light / optics.electrons_per_level + optics.read_noise_levels**2  # of a thousand electrons and more
         levels = light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

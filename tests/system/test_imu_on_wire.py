@@ -32,6 +32,18 @@ checksum.kind = "xor8"
 text = { start = "$GYRO," }
 """
 
+MESSAGES = """
+name = "gyros"
+byte_order = "little"
+sync = "01 81"
+checksum.kind = "none"
+rotation = "none"
+fields = [
+    { name = "counter", type = "u16" }, { name = "time", type = "u32", scale = 1e-6 }, { name = "rate", type = "f32" },
+]
+"""
+CAN = "imu.can.identifiers = [0x181, 0x281, 0x381]\n"
+
 
 def lab(folder: Path, more: str = "") -> str:
     (folder / "lab.toml").write_text(RIG + more)
@@ -43,10 +55,11 @@ def rates(run: Any, name: str) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize("wire", ["serial", "text in datagrams"])
+@pytest.mark.parametrize("wire", ["serial", "text in datagrams", "CAN"])
 def test_rates_of_the_table_are_those_of_the_chaser_and_are_replayed(wire: str, tmp_path: Path) -> None:
-    (tmp_path / "gyros.toml").write_text(TEXT)
-    more = "" if wire == "serial" else f'imu.port = "udp://127.0.0.1:9"\nimu.frames = "{tmp_path / "gyros.toml"}"\n'
+    (tmp_path / "gyros.toml").write_text(MESSAGES if wire == "CAN" else TEXT)
+    more = "" if wire == "serial" else f'imu.frames = "{tmp_path / "gyros.toml"}"\n'
+    more += {"serial": "", "CAN": CAN}.get(wire, 'imu.port = "udp://127.0.0.1:9"\n')
     run = hil.run("scheme-1", lab(tmp_path, more), 3, 6.0, record=tmp_path)
     assert run.stop == "completed"
     later = slice(100, None)  # the table has reached the chaser's rate
@@ -73,6 +86,10 @@ def test_silence_stops_the_bench_and_names_the_imu(tmp_path: Path) -> None:
         (
             ("imu.rate_hz=200",),
             "imu.rate_hz: 200: does not go with the IMU on the table of rig lab, allowed one sample",
+        ),
+        (
+            ("rig.imu.can.identifiers=[385]",),
+            'rig.imu.frames: sync "eb 90 21": does not go .* allowed "01 81", imu.can.identifiers',
         ),
         (("rig.imu.rate_hz=20",), "rig.imu.rate_hz: 20: does not go .* allowed from 50, one frame per cycle"),
         (("rig.turntable.roll.fixed_deg=0",), "rig.turntable: roll fixed: does not go .* three driven gimbals"),

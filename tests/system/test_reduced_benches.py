@@ -73,7 +73,9 @@ def test_planar_scenario_is_flown_in_the_plane() -> None:
 )
 def test_planar_vehicle_stays_in_the_plane(setting: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["run", "planar", "--rig", "mock-planar", "--set", setting]) == 2
-    assert text in " ".join(capsys.readouterr().err.split())
+    shown = " ".join(capsys.readouterr().err.split())
+    assert text in shown
+    assert "another plane would hold back up to 4.9e-05 m/s2, 2 w v at 0.03 m/s" in shown
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hil.bench.manipulator import relative_axes
 from hil.core.modes import Mode
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import BadInput, SafetyTrip
-from hil.loop.target_stage import RotatedTarget
+from hil.loop.target_stage import TargetInMotion
 from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.recording import schema
@@ -35,7 +35,7 @@ def test_nine_axes_show_the_truth_and_the_vision_unit_sees_what_they_did() -> No
     with build.runner(job) as runner:
         outcome, (target,) = runner.run(), runner.loop.target.groups
     assert outcome.stop == "completed"
-    assert isinstance(target, RotatedTarget)
+    assert isinstance(target, TargetInMotion)
     assert max(target.numbers()["angle_max_deg"]) > 5.0
     assert max(target.numbers()["following_error_max_deg"]) < 0.05
     rows = outcome.history
@@ -50,7 +50,7 @@ def test_nine_axes_show_the_truth_and_the_vision_unit_sees_what_they_did() -> No
 def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> None:
     with build.runner(make_job(4.0, START, rig=RIG)) as runner:
         (target,) = runner.loop.target.groups
-        assert isinstance(target, RotatedTarget)
+        assert isinstance(target, TargetInMotion)
         follow = target.follow
 
         def stuck(*arguments: object) -> object:
@@ -68,7 +68,7 @@ def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> 
 def test_manipulator_at_its_place_is_expected_there_and_a_hold_does_not_move_it() -> None:
     with build.runner(make_job(1.0, START, rig=RIG)) as runner:
         (target,), rate = runner.loop.target.groups, runner.rate
-        assert isinstance(target, RotatedTarget)
+        assert isinstance(target, TargetInMotion)
         target.open(0.0)
         target.seed(0.0)
         target.place(rate.wait, 0.02)
@@ -90,7 +90,7 @@ def test_target_that_tumbles_faster_than_both_machines_show_is_refused_with_both
 def test_error_of_a_manipulator_names_axis_value_and_limit() -> None:
     with build.runner(make_job(1.0, rig=RIG)) as runner:
         (target,) = runner.loop.target.groups
-        assert isinstance(target, RotatedTarget)
+        assert isinstance(target, TargetInMotion)
         target.open(0.0)
         target.seed(0.0)
         target.axes.send(np.array([0.0, 0.1, 0.0]), np.zeros(3), 0.0)
@@ -105,7 +105,7 @@ def test_axes_of_both_machines_are_recorded_and_give_what_the_cycle_records(tmp_
         with build.runner(job, sinks=taken.sinks) as runner:
             (target,), outcome = runner.loop.target.groups, runner.run()
         taken.break_off("test")
-    assert isinstance(target, RotatedTarget)
+    assert isinstance(target, TargetInMotion)
     recorded = load(taken.path)
     rows, cycles = recorded.manipulator_samples, recorded.cycles
     np.testing.assert_array_equal(rows["t_s"], cycles["t_s"])
@@ -174,7 +174,7 @@ def test_jog_of_a_manipulator_needs_one_and_an_axis_that_is_homed() -> None:
 def test_switch_stops_a_jog_of_the_manipulator_and_a_jog_leads_off_it() -> None:
     with build.runner(make_job(1.0, rig=RIG)) as runner, runner.axes_only() as sequencer:
         (target,), operator = runner.loop.target.groups, runner.operator
-        assert isinstance(target, RotatedTarget)
+        assert isinstance(target, TargetInMotion)
         assert isinstance(target.axes, MockAxes)
         target.axes.set_limit_switch(2, 1)
 

@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from hil.config.tables.driver_registry import Wire, WireKind
+from hil.config.tables.driver_registry import Wire, WireKey, WireKind
 from hil.config.tables.model import ConfigModel, Positive, Triple
 
 UDP: Final = "udp://"
+
+
+class CanBus(ConfigModel):
+    """CAN bus of python-can."""
+
+    interface: str = "serial"
+    """Interface of python-can."""
+    channel: str | None = None
+    """Channel of that interface."""
+    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
+    """Bit rate of the bus, bit/s."""
+    baud: Annotated[int, Field(gt=0)] = 1_000_000
+    """Baud rate of a serial adapter."""
+    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Further arguments of that interface, such as `host` and `port` of socketcand."""
+
+
+class ImuCan(CanBus):
+    """CAN bus of an IMU whose frame is sent in several messages."""
+
+    identifiers: Annotated[tuple[Annotated[int, Field(ge=0, le=0x7FF)], ...], Field(min_length=1, max_length=8)]
+    """Of the messages of a frame, in their order. The frame has the first one, two bytes, big end first, as its sync,
+    and after it the data of all."""
+
+    @property
+    def sync(self) -> bytes:
+        """Bytes with which a frame begins."""
+        return self.identifiers[0].to_bytes(2, "big")
 
 
 class ImuWire(ConfigModel):
@@ -21,6 +49,8 @@ class ImuWire(ConfigModel):
 
     port: str | None = None
     """Serial port, or `udp://HOST:PORT` of this computer, on which datagrams are received."""
+    can: ImuCan | None = None
+    """In place of a port."""
     baud: Annotated[int, Field(gt=0)] = 460_800
     """Baud rate of a serial port."""
     frames: str = "imu"
@@ -36,5 +66,23 @@ class ImuWire(ConfigModel):
 
     def wire(self) -> Wire:
         """Return the wire."""
+        if self.can is not None:
+            wire = WireKey("channel", "can").wire(self.can)
+            return Wire("imu.can.channel", wire.kind, wire.address)
         kind: WireKind = "udp" if self.port is not None and self.port.startswith(UDP) else "serial"
         return Wire("imu.port", kind, self.port)
+
+    @model_validator(mode="after")
+    def _has_one_wire(self) -> Self:
+        if self.can is not None and self.port is not None:
+            raise ValueError(f'port "{self.port}": does not go with the table can, allowed one of both')
+        if self.can is not None and len(set(self.can.identifiers)) < len(self.can.identifiers):
+            raise ValueError(f"can.identifiers {list(self.can.identifiers)}: must differ from each other")
+        return self
+
+    def connected(self, address: str) -> Self:
+        """Return the table with the address that its emulator reports: CAN is on a serial adapter there."""
+        if self.can is not None:
+            update: dict[str, Any] = {"interface": "serial", "channel": address}
+            return self.model_copy(update={"can": self.can.model_copy(update=update)})
+        return self.model_copy(update={"port": (UDP if (self.port or "").startswith(UDP) else "") + address})

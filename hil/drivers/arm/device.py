@@ -26,7 +26,8 @@ HOLD, END = 2, 1
 """Categories of a stop: the robot holds under the correction; the correction has ended."""
 _PERIOD_S: Final = 0.02  # of the setpoints, unless ``set_period``
 _LATE: Final = 0.5  # periods for which a missing setpoint is bridged at its rate, before the axes brake
-_FROZEN: Final = np.repeat((1e-3, math.radians(0.1)), 3)  # m, rad that may be commanded while the feedback stays
+_FROZEN: Final = np.repeat((1e-3, math.radians(0.1)), 3)  # m, rad that may be commanded while the feedback stays,
+_FROZEN_S: Final = 0.05  # for so long: a fast robot has gone further when a few answers were late
 
 
 class PoseLink(Protocol):
@@ -92,7 +93,7 @@ class ArmExchange:
         except Unreachable as error:
             raise DeviceError(self._name, f"stands where it may not be commanded: {error}") from error
         self._measured = self._unchanged = axes
-        self._measured_s = flange.t_s
+        self._measured_s = self._unchanged_s = flange.t_s
         return AxisFeedback(flange.t_s, axes, self._rest)
 
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
@@ -123,8 +124,11 @@ class ArmExchange:
     def _feedback(self, flange: FlangePose) -> AxisFeedback:
         axes = self._kinematics.axes_of(flange, self.delivered[1])
         if not np.array_equal(axes, self._measured):
-            self._unchanged = self.delivered[1]
-        elif np.any(np.abs(self.delivered[1] - self._unchanged) > self._frozen):
+            self._unchanged, self._unchanged_s = self.delivered[1], flange.t_s
+        elif (
+            flange.t_s - self._unchanged_s > _FROZEN_S
+            and (np.abs(self.delivered[1] - self._unchanged) > self._frozen).any()
+        ):
             raise ProtocolError(self._name, "repeats its last pose while it is commanded to move")
         elapsed_s = flange.t_s - self._measured_s
         rate = (axes - self._measured) / elapsed_s if elapsed_s > 0.0 else self._rest

@@ -29,7 +29,8 @@ class WiredImu:
     def __init__(self, config: ImuWire, step_s: float, clock: BenchClock) -> None:
         self._config, self._clock = config, clock
         port, by_datagrams = config.port or "", (config.port or "").startswith(UDP)
-        self._decoder = frame_codec(config.frames).decoder(by_datagrams)
+        wire: Any
+        self._decoder = frame_codec(config.frames).decoder(by_datagrams or config.can is not None)
         self._lock = threading.Lock()
         self._rates: deque[Array] = deque(maxlen=max(1, round(config.rate_hz * step_s)))
         self._mean = np.zeros(3)
@@ -37,9 +38,13 @@ class WiredImu:
         self.counts: Counter[str] = Counter()
         """Frames, and those that have no rate."""
         try:
-            if by_datagrams:
+            if config.can is not None:
+                from hil.drivers.imu.can_frames import CanFrames  # of few rigs
+
+                port, wire = f"CAN {config.can.channel}", CanFrames(config.can, clock)
+            elif by_datagrams:
                 host, _, number = port.removeprefix(UDP).rpartition(":")
-                wire: Any = DatagramPort(clock, host, int(number), READ_WALL_S)
+                wire = DatagramPort(clock, host, int(number), READ_WALL_S)
             else:
                 wire = open_serial(clock, port, config.baud, timeout=READ_WALL_S, exclusive=True)
         except (OSError, ValueError, OverflowError) as error:

@@ -1,4 +1,4 @@
-"""The vision unit on a serial port: a reader thread decodes frames, the loop polls for them."""
+"""The vision unit on a serial port or on UDP: a reader thread decodes frames, the loop polls for them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Final
 from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
+from hil.drivers.datagrams import DatagramPort
 from hil.drivers.latest import Latest
 from hil.drivers.serial_port import open_serial
 from hil.drivers.vmu import COUNTERS, NAME
@@ -209,3 +210,19 @@ class Rs422Vmu:
         self._counts["lost"] = max(0, self._counts["lost"] - 1)
         self._seen.append(counter)
         return False
+
+
+class UdpVmu(Rs422Vmu):
+    """Pose source on ``config.udp``; each datagram has one frame or several."""
+
+    _of_datagrams = True
+
+    def __init__(self, config: Vmu, clock: BenchClock) -> None:
+        super().__init__(config, clock)
+        self._settings = config.settings
+        self._address = f"{self._settings.host}:{self._settings.port}"
+        self._fastest_s = config.processing_s
+        self._reset(0.0)
+
+    def _open_port(self) -> DatagramPort:
+        return DatagramPort(self._clock, self._settings.host, self._settings.port, READ_WALL_S)

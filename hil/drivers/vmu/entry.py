@@ -49,7 +49,7 @@ ENTRY: Final = DriverEntry(
 DATAGRAMS: Final = DriverEntry(
     "vmu",
     "udp",
-    driver="hil.drivers.vmu.datagrams:UdpVmu",
+    driver="hil.drivers.vmu.driver:UdpVmu",
     emulator="hil.parts.emulation.vision_unit:UdpVmuEmulator",
     settings=VmuDatagrams,
     wires=[WireKey("udp", "udp")],
@@ -62,7 +62,7 @@ CAMERAS: Final = DriverEntry(
     "vmu",
     "cameras",
     driver="hil.parts.vision.cameras:CamerasVmu",
-    emulator="hil.parts.emulation.emulated_camera:emulated_camera",
+    emulator="hil.parts.emulation.cameras:emulated_camera",
     settings=VisionCameras,
     wires=[WireKey(f"cameras.{side}", "camera", side) for side in ("left", "right")],
     has_processes=True,

@@ -113,9 +113,6 @@ class CampaignJob:
         rig, problems = self._rig.value, check_requirements(self.scenario)
         if rig.kind != "mock":
             problems.append(Problem("--rig", rig.name, f'kind "{rig.kind}": campaigns run in memory, allowed "mock"'))
-        if rig.target_axes is not None:
-            key = "target_manipulator" if rig.moved_target is not None else "rotary_manipulator"
-            problems.append(Problem(self._rig.where(key), f"rig.{key}", "not supported by campaigns"))
         if self.scenario.value.vmu.source != "model":
             text = f'"{self.scenario.value.vmu.source}": campaigns use the model of the vision unit, allowed "model"'
             problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -83,13 +84,13 @@ def row_of(
     aborted = int(limits.aborted)
     used_kg = propellant_kg(stats, truth)
     energy, security = energy_part(stats, scenario, used_kg), security_part(stats)
-    flown = int(stats.cycles) > 0
+    flown, view_px = int(stats.cycles) > 0, _view_margin(stats, scenario)
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
     parts = {
         "control_precision": passed,
         "security": security.passed,
         "energy": energy.passed,
-        "field_of_view": bool(flown and stats.view_margin >= 0.0),
+        "field_of_view": bool(flown and view_px >= 0.0),
         "integrity": bool(flown and integrity.passed),
         "decision": bool(flown and decision.passed),
     }
@@ -130,7 +131,7 @@ def row_of(
             for name, value in (
                 ("corridor_margin_m", limits.margin[CORRIDOR]),
                 ("closing_margin_mps", limits.margin[CLOSING]),
-                ("view_margin_px", stats.view_margin),
+                ("view_margin_px", view_px),
                 ("nearest_m", stats.integrity.nearest),
             )
         },
@@ -144,6 +145,11 @@ def row_of(
     return row | _limits(stats, parts, energy, row["accepted"], ended, scenario)
 
 
+def _view_margin(stats: np.record, scenario: Scenario) -> float:
+    """Return the least margin of the LEDs to an image's edge, px; infinite if no LED has to be in view."""
+    return float(stats.view_margin) if scenario.vmu.errors.needs_view else math.inf
+
+
 def _limits(
     stats: np.record,
     parts: dict[str, bool],
@@ -153,7 +159,9 @@ def _limits(
     scenario: Scenario,
 ) -> dict[str, Any]:
     """Return the first violated limit, the alarms before it and the margins to all limits."""
-    view = tuple(finite_or_none(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
+    view = tuple(
+        finite_or_none(value) for value in (_view_margin(stats, scenario), stats.view_margin_s, stats.view_lost_s)
+    )
     end_s = max(0, int(stats.cycles) - 1) * scenario.step_s
     run = RunNumbers(stats, parts, (view[0], view[1], view[2]), energy, end_s, accepted, ended)
     margins = margins_of(run, scenario) if stats.cycles else []

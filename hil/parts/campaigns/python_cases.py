@@ -1,4 +1,4 @@
-"""Runner of a campaign's cases that the compiled loop does not run, as those of a floating vehicle or a robot."""
+"""Runner of a campaign's cases that the compiled loop does not run: of floating vehicles, robots, targets on axes."""
 
 from __future__ import annotations
 
@@ -67,13 +67,18 @@ class PythonCaseRunner:
 
     def noise(self) -> dict[str, tuple[np.ndarray, float]]:
         """Raise BadInput: the likelihood of a case is that of the compiled loop's noise."""
-        text = "rare events are not supported with a floating vehicle or a robot"
-        raise BadInput.single(self.rig.name, "rig.arm" if self.rig.robots else "rig.floating", text)
+        raise BadInput.single(self.rig.name, _only_in_python(self.rig)[0], "not supported by campaigns of rare events")
+
+
+def _only_in_python(rig: Rig) -> list[str]:
+    """Return the keys of what the compiled loop cannot fly; axes that are held at their places do not matter."""
+    target = "rotary_manipulator" if rig.rotated_target is not None else "target_manipulator.sharing"
+    parts = {"floating": rig.floating is not None, "arm": bool(rig.robots), target: rig.moving_target is not None}
+    return [f"rig.{key}" for key, has in parts.items() if has]
 
 
 def case_runner(
     scenario: Scenario, rig: Rig, duration_s: float, own: OwnBackends = NO_BACKENDS
 ) -> CaseRunner | PythonCaseRunner:
     """Return what runs the cases of ``scenario`` on ``rig``."""
-    in_python = rig.floating is not None or bool(rig.robots)
-    return (PythonCaseRunner if in_python else CaseRunner)(scenario, rig, duration_s, own)
+    return (PythonCaseRunner if _only_in_python(rig) else CaseRunner)(scenario, rig, duration_s, own)

@@ -87,7 +87,7 @@ def _unrecorded_sinks(job: build.Job) -> Iterator[RecordingSinks]:
     fed = required_sinks(job)
     slots = ring_slots(job) | {"cycles": TELEMETRY_ROWS}
     rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in ring_dtypes().items() if name in fed}
-    run_time = RunTime.create()
+    run_time = RunTime()
     takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in ring_dtypes()}
     try:
         yield RecordingSinks(**takers, run_time=run_time)

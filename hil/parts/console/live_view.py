@@ -1,4 +1,4 @@
-"""Live view of a session: plotted rows, camera images, results of the docking monitor.
+"""Live view of a session: plotted rows, camera images, results of the docking monitor, offsets by trackers.
 
 The newest image of each camera is kept, and each client gets those of the camera that it watches; a slow client misses
 images and delays no other.
@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.core.camera_images import CAMERAS, image_data, overlay_shapes
 from hil.core.messages import CYCLE, Array
+from hil.core.part import hook, used_parts
 from hil.params import bench as bench_params
 from hil.parts.console.columns import COLUMNS, console_rows, decimated
 from hil.parts.console.message import ImageMessage
@@ -108,6 +109,8 @@ class Cursor:
 MAX_UNREAD: Final = 20
 """Largest number of unread messages of a client: about one second."""
 _PORTIONS: Final = 3000  # one hour of the docking monitor
+_OFFSETS: Final = 18_000  # one hour of a tracker
+_OFFSET_S: Final = 0.199  # between two that are shown, at least
 
 
 @dataclass(slots=True)
@@ -130,7 +133,8 @@ class Client:
     camera: str = ""
     """Camera whose images it requests; "" for any."""
     picture_seen: int = 0
-    portions_seen: int = 0
+    seen: dict[str, int] = field(default_factory=dict)
+    """Lengths of the lists that it has, by their names."""
     requests: int = 0
     """Number of its last request that may move the bench."""
     page: str = ""
@@ -154,16 +158,19 @@ class Client:
 
 
 class LiveView:
-    """Rows, images and batches of the docking monitor since the session started."""
+    """Rows, images, batches of the docking monitor and offsets by trackers since the session started."""
 
     def __init__(self) -> None:
         self.rows = RowStore()
         self.portions: list[dict[str, Any]] = []
+        self.offsets: list[dict[str, Any]] = []
         self._pictures: dict[str, tuple[int, ImageMessage]] = {}
         self._number = 0
         self._cycles, self._taken = 1, 0  # cycles per row, and rows read so far
         self._bench: np.record | None = None
         self._places: np.record | None = None
+        self._offset_due_s: dict[str, float] = {}
+        self._offsets_of: dict[str, tuple[str, Any]] = {}
 
     def begin(self, job: Job) -> None:
         """Clear everything for a session of ``job``."""
@@ -173,7 +180,14 @@ class LiveView:
         self._cycles = rig.telemetry_cycles(scenario.step_s)
         self._taken = 0
         self.rows.begin()
-        self.portions = []
+        self.portions, self.offsets = [], []
+        self._offset_due_s.clear()
+        self._offsets_of = {
+            each.part.name: (name, hook(each.part, "offsets", sink.offsets))
+            for each in used_parts(scenario, rig)
+            for name, sink in each.part.sinks.items()
+            if sink.offsets
+        }
         self._pictures.clear()
 
     def warm_up(self, job: Job) -> None:
@@ -193,9 +207,18 @@ class LiveView:
         for rows in session.read_pictures():
             for row in rows:
                 self.show(picture_of(row, status, now_s))
-        for row in session.read_portions():
+        for row in session.read_rows("portions"):
             if len(self.portions) < _PORTIONS:
                 self.portions.append(self._portion(portion_of(row)))
+        for name, (sink, offsets) in self._offsets_of.items():
+            self.add_offsets(name, *offsets(session.read_rows(sink)))
+
+    def add_offsets(self, name: str, rows: np.ndarray, offsets: Array) -> None:
+        """Keep ``offsets`` (n, 3), m, in H, of ``rows`` of the part ``name``, ``_OFFSET_S`` apart."""
+        for t_s, offset in zip(rows["t_s"].tolist(), offsets.tolist(), strict=True):
+            if t_s >= self._offset_due_s.get(name, -math.inf) and len(self.offsets) < _OFFSETS:
+                self._offset_due_s[name] = t_s + _OFFSET_S
+                self.offsets.append({"name": name, "t_s": t_s, "off_m": offset})
 
     def show(self, picture: ImageMessage) -> None:
         """Replace the image of its camera by ``picture``."""
@@ -216,16 +239,20 @@ class LiveView:
         client.picture_seen = number
         return picture
 
-    def rows_for(self, client: Client) -> tuple[np.ndarray[Any, Any], int, dict[str, Any] | None]:
-        """Return the rows new to ``client``, the number of their first, and the new monitor results, None for none."""
+    def rows_for(self, client: Client) -> tuple[np.ndarray[Any, Any], int, dict[str, Any]]:
+        """Return the rows new to ``client``, the number of their first, and the lists with new ends by their names."""
         before = client.cursor.seen
         rows = self.rows.since(client.cursor)
-        first = 0 if client.cursor.restarted else before
-        begin = 0 if client.cursor.restarted else client.portions_seen
-        client.portions_seen = len(self.portions)
-        if begin == len(self.portions) and not client.cursor.restarted:
-            return rows, first, None
-        return rows, first, {"first": begin, "list": self.portions[begin:]}
+        if client.cursor.restarted:
+            before = 0
+            client.seen.clear()
+        news = {}
+        for name, every in (("portions", self.portions), ("offsets", self.offsets)):
+            begin = client.seen.get(name, 0)
+            if begin < len(every) or name not in client.seen:
+                news[name] = {"first": begin, "list": every[begin:]}
+            client.seen[name] = len(every)
+        return rows, before, news
 
     def _portion(self, portion: Portion) -> dict[str, Any]:
         assert self._places is not None

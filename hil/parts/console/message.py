@@ -6,8 +6,8 @@
     image    a JPEG or PNG file, if the header has one
 
 The header: ``now`` (the live state), ``page`` (the rest, if changed), ``rows``, ``columns``, ``first`` (number of the
-first row since the session started; 0 clears the page's rows), ``picture``, and ``portions`` (batches of the docking
-monitor, with their own ``first``, if there are new ones).
+first row since the session started; 0 clears the page's rows), ``picture``, and, with their own ``first``, if there are
+new ones, ``portions`` (batches of the docking monitor) and ``offsets`` (positions by trackers less the encoders').
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def pack(
     rows: np.ndarray[Any, Any],
     first: int,
     picture: ImageMessage | None = None,
-    portions: dict[str, Any] | None = None,
+    news: dict[str, Any] | None = None,
 ) -> bytes:
     """Return the message; rows: (n, m) of 32-bit floats."""
     header: dict[str, Any] = {"now": now, "rows": len(rows), "columns": rows.shape[1], "first": first}
@@ -73,8 +73,7 @@ def pack(
         header["page"] = page
     if picture is not None:
         header["picture"] = picture.header(now["wall_s"])
-    if portions is not None:
-        header["portions"] = portions
+    header |= news or {}
     text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     return b"".join(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import logging
 import socket
@@ -10,13 +11,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from hil.config.load import shipped
 from hil.core.files import KIB, MIB, check_regular, read_private_text
 from hil.errors import BadInput, Problem
 from hil.parts.console.session import Choice
-from hil.parts.console.strangers import Access
+from hil.parts.console.strangers import Access, FairSlots
 from hil.parts.console.viewers import Viewer
 
 _CERTIFICATE_BYTES: Final = MIB
@@ -104,7 +105,6 @@ def serve(
     import uvicorn
 
     from hil.parts.console.app import make_app
-    from hil.parts.console.connections import bounded_http
     from hil.parts.console.service import ConsoleService
 
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
@@ -127,7 +127,33 @@ def serve(
         ssl_certfile=tls.certificate if tls else None,
         ssl_keyfile=tls.key if tls else None,
         limit_concurrency=_CONNECTIONS_MAX,
-        http=bounded_http(_HTTP_MAX),
+        http=_bounded_http(_HTTP_MAX),
         proxy_headers=False,  # a client names no other address as its own
     )
     uvicorn.Server(config).run(sockets=[listener])
+
+
+def _bounded_http(most: int) -> type[asyncio.Protocol]:
+    """Return uvicorn's protocol with at most ``most`` connections: a new one displaces the oldest of the address that
+    has most of them. Connections that have become websockets do not count."""
+    from uvicorn.protocols.http.auto import AutoHTTPProtocol
+
+    slots: FairSlots[Any] = FairSlots(most)
+
+    class BoundedHttp(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            peer = transport.get_extra_info("peername")
+            displaced = slots.enter(self, peer[0] if isinstance(peer, tuple) else "")
+            if displaced is not None:
+                displaced.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            slots.leave(self)
+            super().connection_lost(exc)
+
+        def handle_websocket_upgrade(self, *arguments: Any) -> None:
+            slots.leave(self)
+            super().handle_websocket_upgrade(*arguments)
+
+    return BoundedHttp

@@ -20,7 +20,6 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.parts.console.session import Choice
 from hil.parts.console.status import CELLS, empty_status
-from hil.parts.monitor.results import PORTION
 from hil.recording import recorder
 from hil.recording.recorder import ring_dtypes
 
@@ -105,21 +104,14 @@ class SessionProcess:
             return False
         return True
 
-    def read_rows(self) -> np.ndarray:
-        """Return the new rows of CYCLE, (n,)."""
-        return self._read_ring("telemetry", CYCLE)
-
-    def read_portions(self) -> np.ndarray:
-        """Return the new results of the docking monitor, (n,) of PORTION."""
-        return self._read_ring("portions", PORTION)
+    def read_rows(self, ring: str = "telemetry") -> np.ndarray:
+        """Return the new rows of a ring, (n,), by default those of CYCLE; none without such a ring."""
+        return self._readers[ring].read() if ring in self._readers else np.empty(0, _DTYPES[ring])
 
     def read_pictures(self) -> list[np.ndarray]:
         """Return the newest images since the last call, (n,) of ``IMAGE`` each: a pair, and one of the monitor."""
         newest = {"images": 2, "monitor_images": 1}
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
-
-    def _read_ring(self, name: str, dtype: np.dtype) -> np.ndarray:
-        return self._readers[name].read() if name in self._readers else np.empty(0, dtype)
 
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return the number of written status records, and the newest one, STATUS (1,)."""

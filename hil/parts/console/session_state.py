@@ -185,7 +185,8 @@ class SessionState:
                 for name, row in zip(self.bench.get("sensors", {}), status.sensors, strict=False)
             ],
             **({"further_axes": further} if further else {}),
-            **(_target(status, rotated) if rotated else {}),
+            **({"target_deg": rotated["deg"], "target_degps": rotated["degps"]} if rotated else {}),
+            **(_relative(status) if self.bench.get("target_moves") else {}),
         }
 
     @property
@@ -228,11 +229,9 @@ class SessionState:
         }
 
 
-def _target(status: np.record, rotated: dict[str, list[float | None]]) -> dict[str, Any]:
-    """Return the axes of the rotary manipulator, and those of the chaser's rig relative to the target."""
+def _relative(status: np.record) -> dict[str, Any]:
+    """Return the axes of the chaser's rig relative to a target that moves."""
     return {
-        "target_deg": rotated["deg"],
-        "target_degps": rotated["degps"],
         "relative": {
             "rail_m": [finite_or_none(v) for v in status.relative.rail_m],
             "gimbal_deg": [finite_or_none(math.degrees(v)) for v in status.relative.gimbal_rad],
@@ -256,6 +255,7 @@ def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
     guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor
     return {
         "axes": {name: [*axis.in_file("travel")] for name, axis in zip(rig.axis_names, axes, strict=True)},
+        "target_moves": rig.moving_target is not None,
         "units": {name: "m" if table.si_per_unit == 1.0 else "deg" for name, table in rig.axis_groups.items()},
         "stale_s": {
             **{name: table.timeout_s for name, table in rig.axis_groups.items()},

@@ -15,7 +15,7 @@ from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.core.sensor_records import MAX_SENSORS
 from hil.errors import BenchError
-from hil.loop.bench_stage import ShownRotation
+from hil.loop.bench_stage import MovesTarget
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
 
@@ -99,7 +99,7 @@ class StatusWriter:
         out.limited_cycles = bench.limited_cycles
         return self.record
 
-    def _read_manipulator(self, manipulator: ShownRotation) -> None:
+    def _read_manipulator(self, manipulator: MovesTarget) -> None:
         """Write the axes of the chaser's rig in the lab and relative to the target."""
         bench, out, target = self._runner.loop.bench, self._view, manipulator.feedback
         rails, turntable = bench.feedback

@@ -41,15 +41,13 @@ class ClientUpdates(SessionManager):
 
     def update_for(
         self, client: Client
-    ) -> tuple[
-        dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, ImageMessage | None, dict[str, Any] | None
-    ]:
+    ) -> tuple[dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, ImageMessage | None, dict[str, Any]]:
         """Return the arguments of ``message.pack`` for ``client``: everything new since its last update."""
         page = None
         if client.page_seen != self.page_version:
             client.page_seen, page = self.page_version, self._page()
-        rows, first, portions = self.view.rows_for(client)
-        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.view.picture_for(client), portions
+        rows, first, news = self.view.rows_for(client)
+        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.view.picture_for(client), news
 
     def _now(self, client: Client) -> dict[str, Any]:
         now_s = self.wall_s()

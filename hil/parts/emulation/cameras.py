@@ -16,11 +16,13 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.rig import Vmu
 from hil.config.tables.cameras import CameraHabits
 from hil.core.clock import WallClock
 from hil.drivers.cameras.base import EXPOSURE_STARTS
 from hil.drivers.cameras.libaravis import FILL, Aravis, aravis
-from hil.errors import LinkLost
+from hil.drivers.vmu import NAME
+from hil.errors import DeviceError, LinkLost
 from hil.parts.emulation.fault_injection import Faults
 
 OBLIGING: Final = CameraHabits()
@@ -169,3 +171,15 @@ def add_loopback_address(name: str, address: str) -> None:
             return
         text = f"{address} cannot be added to lo: {cause.strerror}; as root: ip addr add {address}/8 dev lo"
         raise LinkLost(name, text) from cause
+
+
+ADDRESSES: Final = {"left": "127.0.0.2", "right": "127.0.0.3"}
+"""Addresses of emulated cameras unless the rig file sets others."""
+
+
+def emulated_camera(table: Vmu, clock: WallClock, image_at: Callable[[float], np.ndarray], side: str) -> CameraEmulator:
+    """Return the camera ``side``, left or right, of ``table``; image_at: its image at a bench time, s."""
+    if table.settings.interface != "genicam":
+        raise DeviceError(NAME, f'cameras.interface = "{table.settings.interface}": only "genicam" can be emulated')
+    address, habits = getattr(table.settings, side) or ADDRESSES[side], table.settings.emulated
+    return CameraEmulator(f"{NAME}.{side}", address, clock, image_at, habits=habits)

@@ -54,7 +54,7 @@ def _emulate_cameras(scenario: str, folder: str | None, settings: Settings, geom
     from hil.core.files import write_text
     from hil.drivers.cameras.base import SIDES
     from hil.parts.cameras.pose_sensor import calibrated_geometry
-    from hil.parts.emulation.emulated_camera import emulated_camera
+    from hil.parts.emulation.cameras import emulated_camera
     from hil.parts.emulation.emulated_cameras import images_at_start, images_of_folder
     from hil.session.assembly import with_cameras
 

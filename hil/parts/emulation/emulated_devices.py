@@ -9,7 +9,6 @@ import numpy as np
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
-from hil.config.tables.imu_wire import UDP
 from hil.config.tables.sensors import device_of
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
@@ -161,8 +160,7 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
     if (tracker := rig.table_of_part("tracker")) is not None:
         tables["tracker"] = tracker.connected(addresses["tracker"])
     if rig.imu is not None:
-        scheme = UDP if (rig.imu.port or "").startswith(UDP) else ""
-        tables["imu"] = rig.imu.model_copy(update={"port": scheme + addresses["imu"]})
+        tables["imu"] = rig.imu.connected(addresses["imu"])
     lines = {
         name.removeprefix("sensor."): SensorLine(port=address)
         for name, address in addresses.items()

@@ -17,6 +17,7 @@ from hil.core.kernel_record import kernel_record
 from hil.core.line_protocol import LineProtocol
 from hil.core.messages import Array
 from hil.drivers.datagrams import DatagramSender
+from hil.drivers.imu.can_frames import as_messages
 from hil.drivers.vmu.frame_codec import frame_codec
 from hil.maths import quat
 from hil.maths.random_streams import stream
@@ -60,10 +61,12 @@ def emulated_imu(
 
     codec, numbers = frame_codec(config.frames), itertools.count()
     by_datagrams = config.port is not None and config.port.startswith(UDP)
-    wire: DatagramSender | PtyLine = DatagramSender(clock) if by_datagrams else PtyLine(config.baud, clock)
+    baud = config.baud if config.can is None else config.can.baud
+    wire: DatagramSender | PtyLine = DatagramSender(clock) if by_datagrams else PtyLine(baud, clock)
 
     def encoded(t_s: float, values: Sequence[float]) -> bytes:
-        return codec.encode_rate(next(numbers), t_s, np.array(values))
+        frame = codec.encode_rate(next(numbers), t_s, np.array(values))
+        return frame if config.can is None else as_messages(config.can, frame)
 
     line = SensorFrames(wire, encoded)
     return LineSensorEmulator("imu", LineProtocol(), measure_at, (config.rate_hz, 0.0), clock, seed, line)

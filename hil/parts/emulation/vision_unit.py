@@ -45,7 +45,7 @@ class VmuEmulator:
         seed: int = 0,
         at_end: Callable[[], None] = lambda: None,
     ) -> None:
-        self._rate_hz = config.rate_hz
+        self._config, self._rate_hz = config, config.rate_hz
         self._processing_s = config.processing_s
         self._serial = config.rs422 or VmuLine()
         self._codec = frame_codec(frames_of(config))
@@ -131,7 +131,7 @@ class VmuEmulator:
 
 
 class UdpVmuEmulator(VmuEmulator):
-    """Sends the unit's frames as datagrams."""
+    """Sends the unit's frames as datagrams, to the port of the rig file if it names one."""
 
     def _open_line(self) -> DatagramSender:
-        return DatagramSender(self._clock)
+        return DatagramSender(self._clock, self._config.settings.host, self._config.settings.port)

@@ -50,7 +50,7 @@ def beside(job: build.Job, parts: SessionParts, telemetry: Ring, clock: WallCloc
     scene = load_scene(scenario.monitor.scene).value
     images, recorded = _ring(parts, "monitor_images"), _ring(parts, "portions")
     portions = recorded or Ring.create(PORTION, _PORTIONS, "portions")
-    run_time, search = RunTime.create(), SearchRegion.create()
+    run_time, search = RunTime(), SearchRegion()
     live = scenario.monitor.source == "camera"
     times = LiveClock(clock.epoch_ns, clock.speed, run_time.descriptor) if live else None
     rings = MonitorRings(telemetry, images, portions)

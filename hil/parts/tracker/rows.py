@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from hil.core.fields import Field, record_dtype
+from hil.core.messages import Array
 
 SAMPLE_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "moment of the measurement, brought to the time of the run"),
@@ -20,3 +23,9 @@ SAMPLE_FIELDS: Final = (
     Field("off_rad", "f8", 3, "rad", "c", "chaser: the same of its attitude"),
 )
 SAMPLE: Final = record_dtype(SAMPLE_FIELDS)
+
+
+def offsets(rows: np.ndarray) -> tuple[np.ndarray, Array]:
+    """Return those of ``rows`` (n,) in which the chaser was measured well, and its positions less the encoders', m."""
+    measured = rows[(rows["body"] == 0) & (rows["status"] == 0)]
+    return measured, measured["off_m"]

@@ -387,7 +387,7 @@ def weigh(scene, view, density, clean, fit):
         return
     cholesky.invert(eq.low6, fit.covariance)
     fit.chi2 = cost
-    write_noise(view, fit, eq)
+    write_noise(scene, view, fit, eq)
     write_shift(view, fit, eq)
     fit.score = likelihood - (m - 3.0) * _LOG_2PI
     add_lights(scene, view, density, fit)
@@ -398,8 +398,8 @@ def weigh(scene, view, density, clean, fit):
 
 
 @kernel
-def write_noise(view, fit, eq):
-    """Write the part of the pose's covariance that the noise of the spots causes, ``K N K.T``."""
+def write_noise(scene, view, fit, eq):
+    """Write the part of the pose's covariance that noise and vibration cause, ``K N K.T``."""
     m, which = eq.which.shape[0], eq.which
     gain, part = np.empty((2 * m, 6)), np.zeros((6, 6))
     for a in range(6):  # S^-1 J = L^-T (L^-1 J)
@@ -411,6 +411,8 @@ def write_noise(view, fit, eq):
             y = measured.noise_uv * gain[2 * k, a] + measured.noise_vv * gain[2 * k + 1, a]
             for b in range(6):
                 part[a, b] += x * gain[2 * k, b] + y * gain[2 * k + 1, b]
+    if scene.vibration > 0.0:
+        add_vibration(scene, fit, eq, gain, part)
     for a in range(6):
         for b in range(6):
             total = 0.0
@@ -418,6 +420,22 @@ def write_noise(view, fit, eq):
                 for j in range(6):
                     total += fit.covariance[a, i] * part[i, j] * fit.covariance[j, b]
             fit.noise[a, b] = total
+
+
+@kernel
+def add_vibration(scene, fit, eq, gain, part):
+    """Add to ``part`` (6, 6) what the vibration of the right camera causes. gain: (2 m, 6), ``S^-1 J``."""
+    slopes, pull = np.empty((2, 18)), np.zeros((2, 6))
+    for k in range(eq.which.shape[0]):
+        if eq.which[k, 0] == 1:
+            shared_slopes(scene, fit.r, fit.t, 1, eq.which[k, 1], slopes)
+            for e in range(2):
+                for a in range(6):
+                    pull[e, a] += slopes[0, 9 + e] * gain[2 * k, a] + slopes[1, 9 + e] * gain[2 * k + 1, a]
+    for e in range(2):
+        for a in range(6):
+            for b in range(6):
+                part[a, b] += scene.vibration * pull[e, a] * pull[e, b]
 
 
 @kernel
@@ -432,31 +450,33 @@ def write_shift(view, fit, eq):
     totals = np.zeros(2)
     for k in range(m):
         totals[which[k, 0]] += 1.0
-    fit.shift[0] = fit.shift[1] = 0.0
+    fit.shift[0] = fit.shift[1] = fit.shift_px = fit.shift_noise = 0.0
     if min(totals[0], totals[1]) < 2.0:
         return
     for k in range(m):
         side[k] = 1.0 / totals[1] if which[k, 0] == 1 else -1.0 / totals[0]
     along = np.empty(6)
     for i in range(2):
-        mean, variance = 0.0, 0.0
+        mean, variance, noise = 0.0, 0.0, 0.0
         for a in range(6):
             along[a] = 0.0
         for k in range(m):
             measured = view.spots[which[k, 0], fit.spot[which[k, 0], which[k, 1]]]
             own = (measured.noise_uu if i == 0 else measured.noise_vv) + fit.floor * fit.floor
-            variance += side[k] * side[k] * own
+            noise += side[k] * side[k] * own
             mean += side[k] * eq.residual[2 * k + i]
             for q in range(m):
                 variance += side[k] * side[q] * eq.shared[2 * k + i, 2 * q + i]
             for a in range(6):
                 along[a] += side[k] * eq.jacobian[2 * k + i, a]
+        variance += noise
         total = variance
         for a in range(6):
             for b in range(6):
                 variance -= along[a] * fit.covariance[a, b] * along[b]
         if variance > 1e-6 * total:
             fit.shift[i] = mean / math.sqrt(variance)
+    fit.shift_px, fit.shift_noise = mean, noise
 
 
 @kernel

@@ -8,6 +8,7 @@ pixel at full scale gives only a lower bound of the light.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
 _WORK_OF_PIXEL = 20.0  # for its model, in products
+_REACH = 6.5  # sigmas of the blur, beyond which a strip of a disc has no light
 _DARK = 1e-10  # fraction of a light's flux: pixels with less have none
 
 
@@ -37,8 +39,8 @@ class LightFit(NamedTuple):
     covariance, and the standard deviation of both. box: u and v of the window's first pixel, and of the one after the
     last. pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel, else 1. dark: variance of a pixel
     without light. per_level: variance per level of light. model, light: (count,), image of the parameters with and
-    without background. slopes: (n, count), derivatives of the model. work: (1,), products that fits may
-    still cost.
+    without background. slopes: (n, count), derivatives of the model. spans: (n, 2), first pixel and the one after the
+    last whose derivative is not zero. work: (1,), products that fits may still cost.
     """
 
     is_disc: bool
@@ -53,6 +55,7 @@ class LightFit(NamedTuple):
     model: Array
     light: Array
     slopes: Array
+    spans: npt.NDArray[np.int64]
     work: Array
 
 
@@ -62,8 +65,16 @@ def light_fit(is_disc, p, box, dark, per_level, work):
     n, count = p.shape[0], (box[2] - box[0]) * (box[3] - box[1])
     return LightFit(
         is_disc, p, np.zeros((n, n)), np.full(3, np.nan), box, np.empty(count), np.empty(count), dark, per_level,
-        np.empty(count), np.empty(count), np.empty((n, count)), work,
+        np.empty(count), np.empty(count), np.empty((n, count)), whole_spans(n, count), work,
     )  # fmt: skip
+
+
+@kernel
+def whole_spans(n, count):
+    """Return the spans of ``n`` parameters that all of ``count`` pixels depend on."""
+    spans = np.zeros((n, 2), np.int64)
+    spans[:, 1] = count
+    return spans
 
 
 @kernel
@@ -81,13 +92,15 @@ def _fill_plane(box, p, model, light, slopes):
 
 
 @kernel
-def fill_points(box, p, model, light, slopes):
+def fill_points(box, p, model, light, slopes, spans):
     """Write the image of points of light in a box: ``model`` and ``light`` (without background), (pixels,).
 
-    slopes: (n, pixels), the derivatives. box: u and v of the first pixel, and of the one after the last.
+    slopes: (n, pixels), the derivatives, spans: (n, 2), where they are not zero. box: u and v of the first pixel, and
+    of the one after the last.
     """
     across, down = box[2] - box[0], box[3] - box[1]
     _fill_plane(box, p, model, light, slopes)
+    slopes[PLANE:] = 0.0
     by_u, by_v = np.empty((3, across)), np.empty((3, down))
     edges_u, edges_v = np.empty((6, across + 1)), np.empty((6, down + 1))
     for k in range((p.shape[0] - PLANE) // POINT):
@@ -95,13 +108,15 @@ def fill_points(box, p, model, light, slopes):
         flux = p[a]
         point_sums(box[0], across, p[a + U], p[a + SIGMA], edges_u, by_u[0], by_u[1], by_u[2])
         point_sums(box[1], down, p[a + V], p[a + SIGMA], edges_v, by_v[0], by_v[1], by_v[2])
+        widest, first, last = by_u[0].max(), down, 0
         for i in range(down):
+            if by_v[0, i] * widest < _DARK:
+                continue
+            first, last = min(first, i), i + 1
             for j in range(across):
                 at = i * across + j
                 share = by_v[0, i] * by_u[0, j]
                 if share < _DARK:
-                    for m in range(POINT):
-                        slopes[a + m, at] = 0.0
                     continue
                 model[at] += flux * share
                 light[at] += flux * share
@@ -109,6 +124,9 @@ def fill_points(box, p, model, light, slopes):
                 slopes[a + U, at] = flux * by_v[0, i] * by_u[1, j]
                 slopes[a + V, at] = flux * by_v[1, i] * by_u[0, j]
                 slopes[a + SIGMA, at] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
+        for m in range(a, a + POINT):
+            spans[m, 0] = min(first, last) * across // 8 * 8  # as ``dot`` has it
+            spans[m, 1] = last * across
 
 
 @kernel
@@ -141,29 +159,24 @@ def fill_disc(box, p, model, light, slopes):
     to_width, to_shear, to_height = to[WIDTH], to[SHEAR], to[HEIGHT]
     for k in range(n):
         eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
-        centre, long = p[PLANE + U] + shear * eta, abs(width) * half
+        centre, long, middle = p[PLANE + U] + shear * eta, abs(width) * half, p[PLANE + V] + height * eta
+        first = min(max(math.floor(middle - _REACH * blur) - box[1], 0), down)
+        last = min(max(math.ceil(middle + _REACH * blur) + 1 - box[1], first), down)
+        rows = last - first
         strip_sums(box[0], across, centre, long, blur, edges_u, value, by_centre, by_blur, by_half)
-        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, here, moved, blurred)
+        point_sums(box[1] + first, rows, middle, blur, edges_v, here, moved, blurred)
         part = flux * share
-        _add(to_flux, share, here, value)
-        _add(to_u, part, here, by_centre)
-        _add(to_v, part, moved, value)
-        _add(to_blur, part, blurred, value)
-        _add(to_blur, part, here, by_blur)
-        _add(to_width, part * (half if width >= 0.0 else -half), here, by_half)
-        _add(to_shear, part * eta, here, by_centre)
-        _add(to_height, part * eta, moved, value)
+        _add(to_flux[first:last], share, here, value)
+        _add(to_u[first:last], part, here, by_centre)
+        _add(to_v[first:last], part, moved, value)
+        _add(to_blur[first:last], part, blurred, value)
+        _add(to_blur[first:last], part, here, by_blur)
+        _add(to_width[first:last], part * (half if width >= 0.0 else -half), here, by_half)
+        _add(to_shear[first:last], part * eta, here, by_centre)
+        _add(to_height[first:last], part * eta, moved, value)
     for at in range(down * across):
         light[at] = flux * slopes[PLANE, at]
         model[at] += light[at]
-
-
-@kernel
-def residual(level, model):
-    """Return the residual of a pixel's level; 0 for a saturated pixel if the model is at or above full scale."""
-    if level >= FULL_SCALE and model >= FULL_SCALE:
-        return 0.0
-    return level - model
 
 
 @kernel
@@ -185,41 +198,51 @@ def invert(a, out):
 
 
 @kernel
-def dot(a, b):
-    """Return the product of two vectors, in four partial sums that the processor adds at once."""
-    n = a.shape[0]
-    whole = n - n % 4
-    first = second = third = fourth = 0.0
-    for k in range(0, whole, 4):
-        first += a[k] * b[k]
-        second += a[k + 1] * b[k + 1]
-        third += a[k + 2] * b[k + 2]
-        fourth += a[k + 3] * b[k + 3]
-    for k in range(whole, n):
-        first += a[k] * b[k]
-    return (first + second) + (third + fourth)
+def dot(x, y, first, last):
+    """Return the product of two vectors from ``first``, a multiple of eight, to ``last``, which is not included.
+
+    In eight partial sums: the processor adds four at once, and the next four while it waits for these.
+    """
+    whole = last - last % 8
+    a = b = c = d = e = f = g = h = 0.0
+    for k in range(first, whole, 8):
+        a += x[k] * y[k]
+        b += x[k + 1] * y[k + 1]
+        c += x[k + 2] * y[k + 2]
+        d += x[k + 3] * y[k + 3]
+        e += x[k + 4] * y[k + 4]
+        f += x[k + 5] * y[k + 5]
+        g += x[k + 6] * y[k + 6]
+        h += x[k + 7] * y[k + 7]
+    for k in range(whole, last):
+        a += x[k] * y[k]
+    return ((a + b) + (c + d)) + ((e + f) + (g + h))
 
 
 @kernel
 def gather(f, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance."""
     n, count = normal.shape[0], f.pixels.shape[0]
-    f.work[0] -= count * (0.5 * n * n + _WORK_OF_PIXEL)
     weight, gap, scaled = np.empty(count), np.empty(count), np.empty(count)
-    total = 0.0
     for at in range(count):
-        gap[at] = residual(f.pixels[at], f.model[at])
-        weight[at] = f.weighed[at] / (f.dark + f.per_level * max(f.light[at], 0.0))
-        total += weight[at] * gap[at] * gap[at]
-        if f.pixels[at] >= FULL_SCALE and gap[at] == 0.0:
-            weight[at] = 0.0
+        level, model, light = f.pixels[at], f.model[at], f.light[at]
+        clipped = level >= FULL_SCALE and model >= FULL_SCALE  # its light is only known to be as much
+        gap[at] = 0.0 if clipped else level - model
+        weight[at] = 0.0 if clipped else f.weighed[at] / (f.dark + f.per_level * (light if light > 0.0 else 0.0))
+        scaled[at] = weight[at] * gap[at]
+    total = dot(scaled, gap, 0, count)
+    products = 0.0
     for i in range(n):
-        for at in range(count):
+        first, last = f.spans[i, 0], f.spans[i, 1]
+        for at in range(first, last):
             scaled[at] = weight[at] * f.slopes[i, at]
-        right[i] = dot(scaled, gap)
+        right[i] = dot(scaled, gap, first, last)
         for j in range(i + 1):
-            normal[i, j] = dot(scaled, f.slopes[j])
+            begin, end = max(first, f.spans[j, 0]), min(last, f.spans[j, 1])
+            normal[i, j] = dot(scaled, f.slopes[j], begin, end) if begin < end else 0.0
             normal[j, i] = normal[i, j]
+            products += max(end - begin, 0) * (0.5 if i == j else 1.0)
+    f.work[0] -= products + count * _WORK_OF_PIXEL
     return total
 
 
@@ -228,7 +251,7 @@ def _fill(f, p):
     if f.is_disc:
         fill_disc(f.box, p, f.model, f.light, f.slopes)
     else:
-        fill_points(f.box, p, f.model, f.light, f.slopes)
+        fill_points(f.box, p, f.model, f.light, f.slopes, f.spans)
 
 
 @kernel
@@ -275,7 +298,8 @@ def fit(f, most):
             copy_into(f.p, tried)
             total = squares
             damping = max(0.1 * damping, 1e-9)
-            if gain < (0.3 if f.is_disc else 0.01):  # of a chi-square: the next step would be far smaller
+            # of a chi-square, in units of what the pixels differ from the model: the next step would be far smaller
+            if gain < (0.3 if f.is_disc else 0.01) * max(total / f.pixels.shape[0], 1.0):
                 break
         else:
             damping = max(10.0 * damping, 1e-3)

@@ -9,11 +9,12 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
 from hil.vmu.kernels.lens import project, undistort
-from hil.vmu.kernels.records import MAX_LEDS
+from hil.vmu.kernels.records import CELLS, MAX_LEDS
 from hil.vmu.kernels.refine import jacobian, place_when_seen, refine
 
 _GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
 _ROUNDS = 10
+_HOPELESS = 10.0  # times its limit, above which no other spots mend chi-square
 _LIMIT_SIGMA = 4.9  # of the sum of squares: one good fit in two million exceeds it
 _WINDOW_SIGMAS = 4.5
 _SPOT_M = 0.012  # largest LED, with its halo
@@ -36,6 +37,21 @@ def fill_spot_ray(lens, slack, spot, measured):
     x, y = undistort(lens, spot.u, spot.v)
     size = 1.0 / math.sqrt(x * x + y * y + 1.0)
     measured.ray[0], measured.ray[1], measured.ray[2] = x * size, y * size, size
+
+
+@kernel
+def cell_of(lens, u, v):
+    """Return row and column of the cell of a pixel, and the size of a cell, px."""
+    size = max(lens.width, lens.height) / CELLS
+    i, j = int(min(max(v / size, 0.0), CELLS - 1.0)), int(min(max(u / size, 0.0), CELLS - 1.0))
+    return i, j, size
+
+
+@kernel
+def mark_near(lens, spot, near):
+    """Set the cells next to ``spot`` in ``near`` (CELLS, CELLS)."""
+    i, j, _ = cell_of(lens, spot.u, spot.v)
+    near[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = 1
 
 
 @kernel
@@ -139,8 +155,9 @@ def converge(scene, view, reach_px, fit):
     """
     previous = np.empty((2, MAX_LEDS), np.int64)
     fit.removed = 0
+    count(fit, scene.leds.shape[0])
     for _ in range(_ROUNDS):
-        refine(scene, view, fit)
+        refine(scene, view, _HOPELESS * chi_square_limit(2 * fit.points - 6), fit)
         if fit.valid == 0:
             return
         copy_matrix(previous, fit.spot)

@@ -30,6 +30,8 @@ _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
 _APART_PX = 1.5  # distance of a second light from the first
 _BLURS = 3.6  # sigmas of the blur beyond the edge of a disc, from which on there is no light
+_WINDOW, _WINDOW_PX = 3.0, 9.0  # of a fit: largest side, relative to a component with a margin
+_MENDED = 0.8  # of chi-square without the outliers, from which on it is worth looking for others
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
 
@@ -72,7 +74,9 @@ def clean(f, total):
     for _ in range(3):
         if not math.isfinite(total) or drop_outliers(f) <= 0:
             break
-        total = fit(f, _MOST_STEPS)
+        before, total = total, fit(f, _MOST_STEPS)
+        if not total < _MENDED * before:
+            break  # not single pixels, but the shape
     return misfit(total, f.weighed.sum(), f.p.shape[0])
 
 
@@ -260,7 +264,7 @@ def measure(frame, component, spots, count, noise):
     """
     noise[0] = noise[1] = 0.0
     row, limits = component.row, frame.limits
-    if is_no_light(row, limits.largest):
+    if frame.work[0] < 0.0 or is_no_light(row, limits.largest):
         return count
     hot = mark_hot(frame, component)
     patch = np.empty((row[V1] - row[V0] + 1, row[U1] - row[U0] + 1))
@@ -282,8 +286,11 @@ def measure(frame, component, spots, count, noise):
 
 
 @kernel
-def _is_large(frame, box):
-    return (box[2] - box[0]) * (box[3] - box[1]) > 4.0 * frame.limits.largest**2
+def _is_large(frame, component, box):
+    """Return whether the window of a fit is larger than that of a light, or of one with so few bright pixels."""
+    row, area = component.row, (box[2] - box[0]) * (box[3] - box[1])
+    widest = _WINDOW * (max(row[U1] - row[U0], row[V1] - row[V0]) + _WINDOW_PX)
+    return area > min(4.0 * frame.limits.largest**2, widest * widest)
 
 
 @kernel
@@ -292,7 +299,7 @@ def _follow_disc(frame, component, p, spot, noise):
     around = p[: PLANE + POINT].copy()  # a point of light whose window holds the disc and its blur
     around[PLANE + SIGMA] += max(p[PLANE + WIDTH] + abs(p[PLANE + SHEAR]), p[PLANE + HEIGHT]) / _BLURS
     box = window_box(frame, component, around, _BLURS)
-    if _is_large(frame, box):
+    if _is_large(frame, component, box):
         return False
     disc = start(frame, component, True, p, box)
     if disc.weighed.sum() <= PLANE + DISC + 2:
@@ -314,7 +321,7 @@ def _fit_and_write(frame, component, p, spots, count, noise):
     n_points = (n - PLANE) // POINT
     for _ in range(2):
         box = window_box(frame, component, p, 4.3 if p[PLANE + SIGMA] < 2.0 else 3.6)
-        if _is_large(frame, box):
+        if _is_large(frame, component, box):
             return count
         best = start(frame, component, False, p, box)
         if best.weighed.sum() <= n + 2:

@@ -94,21 +94,22 @@ def find_peaks(patch, frame, component, peaks):
     five sigma, or the pixels of the image, which the sums blur, by a third.
     """
     count, v0, u0 = 0, component.row[V0], component.row[U0]
-    previous = np.inf
-    while count < peaks.shape[0]:
-        best, at_i, at_j = -np.inf, -1, -1
-        for i in range(patch.shape[0]):
-            for j in range(patch.shape[1]):
-                own = frame.label[v0 + i, u0 + j] == component.name
-                if own and best < patch[i, j] < previous and _is_peak(patch, i, j):
-                    best, at_i, at_j = patch[i, j], i, j
-        if at_i < 0 or not best > 0.05 * patch.max():
+    least, n = 0.05 * patch.max(), 0
+    height, at = np.empty(patch.size), np.empty((patch.size, 2), np.int64)
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            own = frame.label[v0 + i, u0 + j] == component.name
+            if own and patch[i, j] > least and _is_peak(patch, i, j):
+                height[n], at[n, 0], at[n, 1] = -patch[i, j], i, j
+                n += 1
+    for k in np.argsort(height[:n]):
+        if count == peaks.shape[0]:
             break
-        previous = best
+        best, at_i, at_j = -height[k], at[k, 0], at[k, 1]
         sigma = math.sqrt(9.0 * component.dark + frame.per_level * best)
         apart = True
-        for k in range(count):
-            to_i, to_j = peaks[k, 0], peaks[k, 1]
+        for m in range(count):
+            to_i, to_j = peaks[m, 0], peaks[m, 1]
             dip = _dip(patch, at_i, at_j, to_i, to_j)
             if not (dip < 0.83 * best and best - dip > 5.0 * sigma):
                 apart = apart and _pixels_dip(frame, component, v0 + at_i, u0 + at_j, v0 + to_i, u0 + to_j)

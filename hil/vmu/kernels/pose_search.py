@@ -127,10 +127,10 @@ def add_settled(scene, view, settings, density, start, fits, state):
 
 
 @kernel
-def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, fits, state):
+def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, state):
     """Try every three LEDs for the three spots ``trio`` of camera c.
 
-    least: number of its spots to be explained. allowed, some: see ``allow_pairs``.
+    least: number of its spots to be explained. allowed: see ``allow_pairs``.
     """
     leds, squares = scene.leds, scene.squares
     n = leds.shape[0]
@@ -138,8 +138,6 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
     a, b, d = view.spots[c, i], view.spots[c, j], view.spots[c, k]
     y1, y2, y3 = a.ray, b.ray, d.ray
     if not math.isfinite(y1[0] + y2[0] + y3[0]):
-        return
-    if not (some[i, j] and some[i, k] and some[j, k]):
         return
     du1, dv1, du2, dv2 = b.u - a.u, b.v - a.v, d.u - a.u, d.v - a.v
     side = 1 if du1 * dv2 - dv1 * du2 > 0.0 else -1
@@ -154,10 +152,12 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
     fit = starts[starts.shape[0] - 1]
     for p in range(n):
         for q in range(n):
+            if p == q or not allowed[i, j, p, q]:
+                continue
             for s in range(n):
-                if p == q or s in (p, q) or scene.sides[p, q, s] == -side:
+                if s in (p, q) or scene.sides[p, q, s] == -side:
                     continue
-                if not (allowed[i, j, p, q] and allowed[i, k, p, s] and allowed[j, k, q, s]):
+                if not (allowed[i, k, p, s] and allowed[j, k, q, s]):
                     continue
                 if state[STATE_TRIPLES] >= settings.most_triples:
                     state[STATE_FULL] = 1
@@ -198,9 +198,12 @@ def search_level(scene, view, settings, c, level, index, count, allowed, some, s
             if state[STATE_TRIPLES] >= settings.most_triples:
                 state[STATE_FULL] = 1
                 return
+            if not some[index[j], index[k]]:
+                continue
             for i in range(j):
-                trio[0], trio[1], trio[2] = index[i], index[j], index[k]
-                search_triple(scene, view, settings, c, trio, level, allowed, some, starts, fits, state)
+                if some[index[i], index[j]] and some[index[i], index[k]]:
+                    trio[0], trio[1], trio[2] = index[i], index[j], index[k]
+                    search_triple(scene, view, settings, c, trio, level, allowed, starts, fits, state)
 
 
 @kernel

@@ -12,6 +12,8 @@ from hil.core.messages import Array
 MAX_LEDS: Final = 32
 MAX_SPOTS: Final = 64
 """Spots per image used by identification."""
+CELLS: Final = 64
+"""Cells along each side of an image."""
 SHARED: Final = 24
 """Considered parameters that all LEDs share: 9 of each lens, rotation and position of the right camera."""
 
@@ -72,6 +74,8 @@ FIT = np.dtype(
         ("misfit", "f8"),  # chi2 with the least floor
         ("floor", "f8"),  # px, estimated error of a spot beyond noise and tolerances
         ("shift", "f8", 2),  # of the right image against the left one along u and v, in sigmas
+        ("shift_px", "f8"),  # the same along v, and its variance by noise, px^2
+        ("shift_noise", "f8"),
         ("points", "i8"),  # spots used
         ("removed", "i8"),  # spots within the gates that were removed as outliers
         ("unseen", "i8"),  # predicted LED images without a spot
@@ -93,6 +97,8 @@ class RingScene(NamedTuple):
     its axes, its position, positions of the LEDs. floors: (k,), px, floors of a spot's error, ascending. motion:
     (7, 6), velocity and rotation rate of the target about v's axes, m/s, rad/s, and below their covariance: with a
     rolling shutter the LEDs move between the rows, of which the middle one is exposed at the time of the image.
+    vibration: rad^2, the part of the tolerance of the right camera's rotation about its u and v axes that is another
+    one in each pair.
     """
 
     lens: np.ndarray
@@ -104,14 +110,17 @@ class RingScene(NamedTuple):
     tolerance: Array
     floors: Array
     motion: Array
+    vibration: float
 
 
 class View(NamedTuple):
     """Spots of a stereo pair. spots: (2, MAX_SPOTS) of SPOT_RAY. counts: (2,), number in use.
 
-    order: (2, MAX_SPOTS), index of each into the detector's spots.
+    order: (2, MAX_SPOTS), index of each into the detector's spots. near: (2, CELLS, CELLS), of uint8: cells of
+    each image that have a spot in them or next to them are 1.
     """
 
     spots: np.ndarray
     counts: npt.NDArray[np.int64]
     order: npt.NDArray[np.int64]
+    near: npt.NDArray[np.uint8]

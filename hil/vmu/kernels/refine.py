@@ -16,9 +16,9 @@ from hil.maths import cholesky, quat
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.vmu.kernels.lens import project, project_slopes
 
-_STEPS = 30
+_STEPS, _FEW_STEPS = 15, 3
 _ROW_STEPS = 3
-_SMALL = 1e-8  # square of a step in sigmas, at convergence
+_SMALL = 1e-5  # square of a step in sigmas, at convergence: `budget` fits what remains
 
 
 @kernel
@@ -140,15 +140,18 @@ def chi_square(scene, view, spot, r, t):
 
 
 @kernel
-def refine(scene, view, fit):
-    """Minimise chi-square of the spots of ``fit`` (FIT) over the pose; write covariance, chi2 and valid."""
+def refine(scene, view, hopeless, fit):
+    """Minimise chi-square of the spots of ``fit`` (FIT) over the pose; write covariance, chi2 and valid.
+
+    hopeless: chi-square, above which a fit is not valid, and after a few steps not continued.
+    """
     normal, low, gradient, step = np.empty((6, 6)), np.zeros((6, 6)), np.empty(6), np.empty(6)
     r_new, t_new = np.empty((3, 3)), np.empty(3)
     fit.valid = 0
     cost = accumulate(scene, view, fit.spot, fit.r, fit.t, normal, gradient)
     damping = 1e-4
-    for _ in range(_STEPS):
-        if not math.isfinite(cost):
+    for k in range(_STEPS):
+        if not math.isfinite(cost) or (k >= _FEW_STEPS and cost > hopeless):
             return
         if not cholesky.solve_damped(normal, damping, gradient, low, step):
             return
@@ -174,6 +177,8 @@ def refine(scene, view, fit):
         return
     cholesky.invert(low, fit.covariance)
     fit.chi2 = cost
+    if cost > hopeless:
+        return
     for a in range(6):
         if not (math.isfinite(fit.covariance[a, a]) and fit.covariance[a, a] > 0.0):
             return

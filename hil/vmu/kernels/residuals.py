@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_into
 from hil.maths.kalman import normalised_square
-from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, LightFit, U, V, gather, invert
+from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, LightFit, U, V, gather, invert, whole_spans
 
 SHAPE_TERMS = 3  # extra parameters of ``shape_chi_square``
 _OUTLIER = 6.0  # sigma
@@ -53,7 +53,7 @@ def widened(f):
     n, count = f.p.shape[0] + SHAPE_TERMS, f.pixels.shape[0]
     return LightFit(
         f.is_disc, f.p, np.zeros((n, n)), f.elongation, f.box, f.pixels, f.weighed, f.dark, f.per_level,
-        np.empty(count), f.light, np.empty((n, count)), f.work,
+        np.empty(count), f.light, np.empty((n, count)), whole_spans(n, count), f.work,
     )  # fmt: skip
 
 

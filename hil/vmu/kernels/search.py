@@ -148,7 +148,7 @@ def by_priority(frame, components, lights, count):
     """Return the order in which components are measured, as work is limited: small ones first, of many the highest."""
     rank = np.empty(count)
     for k in range(count):
-        rank[k] = float(k) + (1e6 if components[k, END] - components[k, FIRST] > _SMALL else 0.0)
+        rank[k] = 1e-3 * k + (1e6 if components[k, END] - components[k, FIRST] > _SMALL else 0.0)
         if count <= _MANY:
             continue
         peak = 0

@@ -6,6 +6,7 @@ import math
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.lens import project
+from hil.vmu.kernels.match import cell_of
 from hil.vmu.kernels.p3p import axes_of_three
 from hil.vmu.kernels.refine import place_when_seen
 
@@ -84,6 +85,12 @@ def take_nearest(scene, view, c, n, reach, fit, arm, point):
     """Assign to LED n the spot of camera c nearest to its projection, within ``reach`` px and free; return whether."""
     place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
     u, v = project(scene.lens[c], point[0], point[1], point[2])
+    fit.spot[c, n] = -1
+    if not math.isfinite(u + v):
+        return False
+    i, j, size = cell_of(scene.lens[c], u, v)
+    if reach < size and view.near[c, i, j] == 0:
+        return False
     best, least = -1, reach * reach
     for k in range(view.counts[c]):
         du, dv = view.spots[c, k].u - u, view.spots[c, k].v - v

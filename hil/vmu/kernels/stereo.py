@@ -81,17 +81,26 @@ def depths(scene, view, c, near, far, ranges, counts):
 
 
 @kernel
-def may_be_apart(first, second, between, length):
-    """Return whether two lights at depths (m, sigma) along rays with cosine ``between`` can be ``length`` m apart."""
+def write_gap(first, second, between, out):
+    """Write the distance of two lights along and across the rays, m, and the sigma of that along, to out (3,).
+
+    first, second: depth and its sigma, m, along rays with cosine ``between``.
+    """
     a, b = first[0], second[0]
-    square = a * a + b * b - 2.0 * a * b * between
     along = abs(a - b)
-    across = math.sqrt(max(square - along * along, 0.0))
+    out[0] = along
+    out[1] = math.sqrt(max(a * a + b * b - 2.0 * a * b * between - along * along, 0.0))
+    out[2] = math.sqrt(first[1] * first[1] + second[1] * second[1])
+
+
+@kernel
+def may_be_apart(gap, length):
+    """Return whether two lights with the distances ``gap`` of ``write_gap`` can be ``length`` m apart."""
+    across = gap[1]
     if across > 1.05 * length:
         return False
     needed = math.sqrt(max(length * length - across * across, 0.0))
-    sigma = math.sqrt(first[1] * first[1] + second[1] * second[1])
-    return abs(along - needed) < _SIGMAS * sigma + _SLACK * length
+    return abs(gap[0] - needed) < _SIGMAS * gap[2] + _SLACK * length
 
 
 @kernel
@@ -114,19 +123,25 @@ def allow_pairs(scene, view, c, near, far, allowed, some, index):
         if counts[i] == 0:
             index[last] = i
             last += 1
+    lengths = np.sqrt(scene.squares)
+    gap = np.empty((_PARTNERS * _PARTNERS, 3))
     for i in range(view.counts[c]):
         some[i, i] = 0
         for j in range(i):
             y, z = view.spots[c, i].ray, view.spots[c, j].ray
             between = y[0] * z[0] + y[1] * z[1] + y[2] * z[2]
             some[i, j] = 0
+            m = 0
+            for a in range(counts[i]):
+                for b in range(counts[j]):
+                    write_gap(ranges[i, a], ranges[j, b], between, gap[m])
+                    m += 1
             for p in range(n):
                 for q in range(p):
-                    fits = counts[i] == 0 or counts[j] == 0
-                    for a in range(counts[i]):
-                        for b in range(counts[j]):
-                            if not fits:
-                                fits = may_be_apart(ranges[i, a], ranges[j, b], between, math.sqrt(scene.squares[p, q]))
+                    fits = m == 0
+                    for k in range(m):
+                        if not fits:
+                            fits = may_be_apart(gap[k], lengths[p, q])
                     possible = 1 if fits else 0
                     allowed[i, j, p, q] = allowed[i, j, q, p] = allowed[j, i, p, q] = allowed[j, i, q, p] = possible
                     if fits:

@@ -59,7 +59,7 @@ class Desk:
             "log": Ring.create(LOG_ENTRY, 16, "log"),
             "images": Ring.create(IMAGE, 4, "images"),
         }
-        self.run_time = RunTime.create()
+        self.run_time = RunTime()
         self.run_time.set_zero(0.0)
         self._stop = threading.Event()
         self._ready = threading.Event()
@@ -312,7 +312,7 @@ def test_dead_process_leaves_the_console_alone() -> None:
 @pytest.mark.parametrize("topic", schema.OPTIONAL)
 def test_rows_that_only_some_runs_have_reach_the_viewers_of_a_live_session(topic: str) -> None:
     sink = schema.OPTIONAL[topic]
-    ring, run_time = Ring.create(ring_dtypes()[sink], 8, sink), RunTime.create()
+    ring, run_time = Ring.create(ring_dtypes()[sink], 8, sink), RunTime()
     opened: list[str] = []
     logged: list[str] = []
     server = SimpleNamespace(

@@ -11,9 +11,10 @@ from hil.errors import LinkLost, LinkTimeout
 
 _GAIN, _DRIFT_GAIN = 0.1, 0.0025  # critically damped, per cycle
 _SLEW: Final = 0.25  # largest correction, of the time between two cycles: time never turns back
-_DRIFT_MAX: Final = 0.2
+_RATES: Final = (0.8, 1.5)  # cycles of emulated controllers last longer than they say
 _POLLS: Final = 0.25  # of the longest silence
 _ROUNDING_S: Final = 1e-6
+_UNREAD: Final = 100  # cycles that are passed over at once, at most
 _LOST_S: Final = 0.05  # arrival that late against its estimate: the estimate restarts
 
 State = TypeVar("State")
@@ -37,7 +38,7 @@ class RobotTime:
             return self.t_s
         within_s = min(_SLEW * elapsed_s, max(-_SLEW * elapsed_s, _GAIN * error_s))
         change = _DRIFT_GAIN / _GAIN * within_s / elapsed_s
-        self.rate = min(1.0 + _DRIFT_MAX, max(1.0 - _DRIFT_MAX, self.rate + change))
+        self.rate = min(_RATES[1], max(_RATES[0], self.rate + change))
         self.t_s = expected_s + within_s
         return self.t_s
 
@@ -96,29 +97,45 @@ class RobotCycles(Generic[State]):
         return self._time.rate - 1.0 if self._time.rate else 0.0
 
     def next(self, may_be_silent: bool = False) -> Cycle[State] | None:
-        """Return the next cycle; None for a damaged or repeated one. Raises LinkTimeout after a silence, LinkLost."""
+        """Return the newest cycle, None without a new one. Raises LinkTimeout after a silence, LinkLost.
+
+        Cycles before it, which a pause of the host leaves unread, can be answered in time no more.
+        """
         if self._port is None:
             raise LinkLost(self._name, "is not open")
         try:
-            data = self._port.read()
+            cycle = self._new_cycle(self._port.read())
+            for _ in range(_UNREAD):
+                if not self._port.is_readable:
+                    break
+                newer = self._new_cycle(self._port.read())
+                self.counts["late_answers"] += cycle is not None and newer is not None
+                cycle = newer or cycle
         except OSError as error:
             raise LinkLost(self._name, f"udp port failed: {error}") from error
         now_s = self._clock.now_s()
-        try:
-            cycle = self._decode(data) if data else None
-        except ValueError:
-            self.counts["protocol_errors"] += 1
-            cycle = None
-        if cycle is None or cycle.number == self._last:
-            self.counts["duplicates"] += cycle is not None
+        if cycle is None:
             silent_s = now_s - self._received_s
             if silent_s > self._timeout_s - _ROUNDING_S and not may_be_silent:
                 raise LinkTimeout(self._name, f"no cycle for {silent_s:.3f} s, allowed {self._timeout_s:g} s")
             return None
+        self._received_s = now_s
+        self._time.update(cycle.robot_s, now_s)
+        return cycle
+
+    def _new_cycle(self, data: bytes) -> Cycle[State] | None:
+        """Return the cycle of a datagram, None of a damaged or repeated one; counts what came and what is missing."""
+        try:
+            cycle = self._decode(data) if data else None
+        except ValueError:
+            self.counts["protocol_errors"] += 1
+            return None
+        if cycle is None or cycle.number == self._last:
+            self.counts["duplicates"] += cycle is not None
+            return None
         if self._last is not None and 1 < (gap := (cycle.number - self._last) // self._step) < 1000:
             self.counts["lost"] += gap - 1
-        self._last, self._received_s = cycle.number, now_s
-        self._time.update(cycle.robot_s, now_s)
+        self._last = cycle.number
         self.counts["exchanges"] += 1
         return cycle
 

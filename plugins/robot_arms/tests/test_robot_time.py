@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import socket
+
 import numpy as np
 import pytest
 
-from hil_robot_arms.cycles import RobotTime
+from hil.core.clock import WallClock
+from hil_robot_arms.cycles import Cycle, RobotCycles, RobotTime
 
 PERIOD_S = 0.004
 
 
-@pytest.mark.parametrize("second_s", [1.0, 1.0001, 0.999, 1.15], ids=str)
+@pytest.mark.parametrize("second_s", [1.0, 1.0001, 0.999, 1.15, 1.28], ids=str)
 def test_time_of_delayed_datagrams_follows_a_clock_that_drifts(second_s: float) -> None:
     time, draws = RobotTime(), np.random.default_rng(2)
     for number in range(5000):
@@ -41,3 +44,30 @@ def test_clock_that_has_stood_is_followed_again() -> None:
         estimate_s = time.update(PERIOD_S * number, sent_s)
     assert estimate_s == pytest.approx(sent_s, abs=2e-3)
     assert time.update(0.0, 100.0) == 100.0
+
+
+def test_cycles_that_a_pause_has_left_unread_are_passed_over() -> None:
+    """Answers to them would come too late, and their poses would be compared with setpoints of after the pause."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    cycles = RobotCycles(WallClock(), _cycle_of, 1, PERIOD_S, 0.2, "arm")
+    cycles.open("127.0.0.1", port)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.connect(("127.0.0.1", port))
+        for sent in (b"1", b"2 3 3 x 5 6", b"7"):
+            for number in sent.split():
+                robot.send(number)
+            newest = cycles.next()
+            assert newest is not None
+            assert newest.number == int(sent[-1:])
+            cycles.answer(sent[-1:])
+            assert robot.recv(8) == sent[-1:]
+    counts = {"exchanges": 6, "lost": 1, "protocol_errors": 1, "duplicates": 1, "late_answers": 3}
+    assert cycles.counts == counts
+    cycles.close()
+
+
+def _cycle_of(data: bytes) -> Cycle[int]:
+    number = int(data)
+    return Cycle(number, PERIOD_S * number, number)

@@ -29,8 +29,10 @@ def params_of(order: tuple[int, ...], arm: Array) -> np.record:
     return params
 
 
-def shown(params: np.record, angles: Array, rates: Array, r: Array, v: Array, q: Array, w: Array) -> ChaserMotion:
-    return manipulator.shown_motion(params, angles, rates, ChaserMotion(r, v, q, w))
+def shown(
+    params: np.record, angles: Array, rates: Array, r: Array, v: Array, q: Array, w: Array
+) -> tuple[Array, Array, Array, Array]:
+    return manipulator.shown_motion(params, angles, rates, ChaserMotion(r, v, q, w))[:4]
 
 
 @given(st.sampled_from(ORDERS), ANGLES, VECTORS, VECTORS, VECTORS)

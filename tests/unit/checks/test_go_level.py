@@ -36,6 +36,13 @@ def test_a_requirement_that_is_tighter_is_named_with_both_numbers() -> None:
     )
 
 
+def test_a_firing_that_exceeds_a_rate_is_named_for_the_axes_that_a_planar_chaser_turns_about() -> None:
+    scenario = load_scenario("planar", ("requirements.angular_rate_degps=0.001",)).value
+    (line,) = (line for line in go_warnings(scenario, load_rig("mock-planar").value) if "angular_rate" in line)
+    assert line.startswith("requirements.angular_rate_degps = 0.001: the smallest firing changes the rate about y by ")
+    assert line.endswith(": Table III does not hold after it, and there will be no go")
+
+
 @pytest.mark.parametrize("settings", [(), RANGE_FINDER, ("gnc.navigation.backend=vision_alone",)])
 def test_no_warning_for_a_reachable_or_unknown_level(settings: tuple[str, ...]) -> None:
     assert go_warnings(load_scenario("scheme-1", settings).value, RIG) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -19,9 +20,10 @@ from hil.parts.console.status import empty_status
 from hil.parts.monitor.camera import chaser_position, view
 from hil.parts.monitor.params import mounting
 from hil.parts.monitor.results import PORTION, Portion, portion_row
+from hil.parts.tracker.rows import SAMPLE
 from tests.support.run_settings import make_job
 
-JOB = make_job(1.0)
+JOB = make_job(1.0, ("rig.tracker.driver=mock", "rig.tracker.chaser.body=1", "rig.tracker.target.body=2"))
 
 
 class Session:
@@ -29,17 +31,15 @@ class Session:
 
     def __init__(self) -> None:
         self.pictures: list[np.ndarray] = []
-        self.portions = np.empty(0, PORTION)
-        self.rows = np.empty(0, CYCLE)
+        self.rows = {
+            "telemetry": np.empty(0, CYCLE), "portions": np.empty(0, PORTION), "tracker_samples": np.empty(0, SAMPLE)
+        }  # fmt: skip
 
-    def read_rows(self) -> np.ndarray:
-        return self.rows
+    def read_rows(self, ring: str = "telemetry") -> np.ndarray:
+        return self.rows[ring]
 
     def read_pictures(self) -> list[np.ndarray]:
         return self.pictures
-
-    def read_portions(self) -> np.ndarray:
-        return self.portions
 
 
 def status(bench_s: float, run_s: float) -> np.ndarray:
@@ -48,9 +48,10 @@ def status(bench_s: float, run_s: float) -> np.ndarray:
     return found
 
 
-def take(live_view: LiveView, **what: Any) -> None:
+def take(live_view: LiveView, pictures: Sequence[np.ndarray] = (), **rows: np.ndarray) -> None:
     session = Session()
-    vars(session).update(what)
+    session.pictures = list(pictures)
+    session.rows |= rows
     live_view.update(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
 
 
@@ -60,7 +61,7 @@ def test_the_page_gets_the_rows_of_the_telemetry_rate() -> None:
     rows = np.zeros(23, CYCLE)
     rows["t_s"] = 0.02 * np.arange(23)
     for first in (0, 3, 9):
-        take(view, rows=rows[first : {0: 3, 3: 9, 9: 23}[first]])
+        take(view, telemetry=rows[first : {0: 3, 3: 9, 9: 23}[first]])
     np.testing.assert_allclose(view.rows.all()[:, 0], [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-6)
 
 
@@ -120,19 +121,36 @@ def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(live_view:
     far = np.full(12, np.nan)
     rows = [portion_row(Portion(1.0, 25, "near", near, near)), portion_row(Portion(2.0, 12, "far", far, far))]
     early = page()
-    assert live_view.rows_for(early)[2] == {"first": 0, "list": []}
+    assert news_for(live_view, early) == {"first": 0, "list": []}
     take(live_view, portions=np.concatenate(rows))
-    told = live_view.rows_for(early)[2]
-    assert told is not None
-    one, other = told["list"]
+    one, other = news_for(live_view, early)["list"]
     np.testing.assert_allclose(one["r_m"], r, atol=1e-12)
     assert (other["status"], other["r_m"], other["values"][0]) == ("far", None, None)
-    assert live_view.rows_for(early)[2] is None
-    assert live_view.rows_for(page())[2] == {"first": 0, "list": [one, other]}
+    assert live_view.rows_for(early)[2] == {}
+    assert news_for(live_view, page()) == {"first": 0, "list": [one, other]}
     take(live_view, portions=rows[0])
-    again = live_view.rows_for(early)[2]
-    assert again is not None
-    assert again["first"] == 2
+    assert news_for(live_view, early)["first"] == 2
+
+
+def test_the_page_gets_how_far_a_tracker_has_the_chaser_from_the_encoders(live_view: LiveView) -> None:
+    """Five times a second, and only what was measured: rows of other bodies and of poor samples are not shown."""
+    rows = np.zeros(60, SAMPLE)
+    rows["t_s"] = 0.01 * np.arange(60)
+    rows["off_m"] = [0.001, -0.002, 0.0005]
+    rows["body"][::20], rows["status"][1::20] = 1, 1
+    client = page()
+    take(live_view, tracker_samples=rows)
+    shown = news_for(live_view, client, "offsets")["list"]
+    assert [each["t_s"] for each in shown] == pytest.approx([0.02, 0.22, 0.42])
+    assert {each["name"] for each in shown} == {"tracker"}
+    assert shown[0]["off_m"] == [0.001, -0.002, 0.0005]
+    header = unpack(pack({"wall_s": 0.0}, None, np.empty((0, 4), "<f4"), 0, None, live_view.rows_for(page())[2]))[0]
+    assert header["offsets"]["list"] == shown
+
+
+def news_for(live_view: LiveView, client: Client, name: str = "portions") -> dict[str, Any]:
+    news: dict[str, Any] = live_view.rows_for(client)[2][name]
+    return news
 
 
 def test_chaser_is_where_its_docking_camera_s_view_has_it(rng: np.random.Generator) -> None:

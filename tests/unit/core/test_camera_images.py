@@ -205,7 +205,7 @@ def test_threaded_sink_never_waits_and_counts_skipped_images() -> None:
 
 
 def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
-    here = RunTime.create()
+    here = RunTime()
     there = RunTime(here.descriptor)
     assert math.isnan(there.at(3.0))
     here.set_zero(2.5)
@@ -229,7 +229,7 @@ def png_rig() -> Rig:
 
 
 def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -> None:
-    ring, run = Ring.create(IMAGE, SLOTS, "pictures"), RunTime.create()
+    ring, run = Ring.create(IMAGE, SLOTS, "pictures"), RunTime()
     run.set_zero(10.0)
     memory = ImageMemory(ring.descriptor, ring.slots, run.descriptor)
     maker = ImageMemory(*memory).encoder(png_rig)

@@ -11,8 +11,7 @@ from hil.config.load import load_rig
 from hil.core.clock import SimulatedClock
 from hil.core.messages import Homing
 from hil.drivers.base import AxisGroup, Jogs, Parks
-from hil.drivers.fixed_axes import FixedAxes
-from hil.drivers.split_axes import make_axes
+from hil.drivers.split_axes import FixedAxes, make_axes
 from hil.errors import SafetyTrip
 from hil.parts.emulation.shared_state import SharedAxisState
 from tests.support.lock_step import in_lock_step, serving

@@ -194,6 +194,19 @@ def test_mutated_pdo_emergency_and_heartbeat_frames(count):
         assert node.homing is Homing.DONE
 
 
+def test_error_behind_a_warning_is_no_part_of_its_burst():
+    config, clock = load_rig("emulated").value.turntable, Clock()
+    node = Node("turntable.roll", 1, config, config.roll, Cia402(), clock)
+    node.setup = Drive()
+    clock.t_s = 1.0
+    for _ in range(3):
+        node.on_emergency(codec.encode_emergency(0x8210, 0))
+    assert node.warnings == 1
+    node.setup.has_error = lambda: True
+    with pytest.raises(DriveFault, match="0x2310"):
+        node.on_emergency(codec.encode_emergency(0x2310, 1))
+
+
 class SpoiltPort:
     """Answers SDO requests as an emulated drive does, but not always as it should."""
 

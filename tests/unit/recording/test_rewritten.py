@@ -10,11 +10,14 @@ from __future__ import annotations
 import os
 import random
 import shutil
+import struct
 import subprocess
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
@@ -22,6 +25,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 import hil
 from hil.cli.main import BAD_INPUT, FAILED, INCOMPLETE, PASSED, execute
 from hil.errors import BadInput
+from hil.recording.lz4_frame import unpacked
 from hil.recording.read import Contents, contents, load, ordered_log
 from tests.support.hostile_files import chunk, message
 
@@ -264,3 +268,27 @@ def test_own_recordings_state_the_checksum_of_their_data(path: Path) -> None:
     data = path.read_bytes()
     end = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
     assert int.from_bytes(data[end + 9 : end + 13], "little") == zlib.crc32(data[:end])
+
+
+CONTENT = b"abcdefgh" * 100 + b"xy"
+BLOCK = b"\x8fabcdefgh\x08\x00" + bytes((255, 255, 255, 8)) + b"\x20xy"  # 8 literals, a match of 792, 2 literals
+FRAME = b"\x04\x22\x4d\x18\x40\x70\xdf" + struct.pack("<I", len(BLOCK)) + BLOCK + bytes(4)
+
+
+def test_block_of_lz4_that_ends_by_a_match_is_read() -> None:
+    """The library refuses it: the format asks for 5 literals at the end, and lz4js does not always write them."""
+    with pytest.raises(RuntimeError):
+        lz4.frame.decompress(FRAME)
+    assert unpacked(FRAME, len(CONTENT), has_checksum=True) == CONTENT
+    with pytest.raises(RuntimeError):
+        unpacked(FRAME, len(CONTENT), has_checksum=False)
+
+
+@pytest.mark.parametrize("at", range(4, len(FRAME) - 4))
+def test_damaged_block_of_lz4_is_refused_or_unpacks_to_no_more_than_stated(at: int) -> None:
+    for bit in range(8):
+        data = bytearray(FRAME)
+        data[at] ^= 1 << bit
+        with suppress(RuntimeError, ValueError, LookupError, struct.error):
+            content = unpacked(bytes(data), len(CONTENT), has_checksum=True)
+            assert len(content) <= len(CONTENT) + len(FRAME)

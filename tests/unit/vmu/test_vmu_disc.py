@@ -7,7 +7,7 @@ import pytest
 from scipy.special import erf
 
 from hil.vmu.kernels.disc import gauss_edges, strip_sums
-from hil.vmu.kernels.fit import DISC, PLANE, POINT, fill_disc, fill_points
+from hil.vmu.kernels.fit import DISC, PLANE, POINT, fill_disc, fill_points, whole_spans
 
 BOX = np.array([3, 7, 30, 32])
 
@@ -49,7 +49,8 @@ def test_derivatives_are_those_of_the_light(name: str) -> None:
 
     def image(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         model, alone, slopes = np.empty(pixels), np.empty(pixels), np.empty((n, pixels))
-        fill(BOX, parameters, model, alone, slopes)
+        arrays = (model, alone, slopes)
+        fill(BOX, parameters, *(arrays if fill is fill_disc else (*arrays, whole_spans(n, pixels))))
         return model, slopes
 
     _, slopes = image(p)

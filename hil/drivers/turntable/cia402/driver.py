@@ -122,7 +122,7 @@ class Cia402Link:
         return self._feedback(self._clock.now_s())
 
     def _enable(self, port: CanPort) -> None:
-        """Enable all drives together; those that are enabled first are held, as their watchdogs require."""
+        """Enable all drives together; those that show that they are enabled are held, as their watchdogs require."""
         setups = [node.setup for node in self._nodes if node.setup is not None]
         for setup in setups:
             setup.begin_enabling()
@@ -135,7 +135,8 @@ class Cia402Link:
                 raise waiting[0].setup.not_enabled(self._wire.enable_timeout_s)
             if now_s > held_s + _HELD_EVERY_WALL_S:
                 held_s = now_s
-                port.send(*(node.setpoint() for node in self._nodes if node not in waiting), (self._sync_id, b""))
+                enabled = [node for node in self._nodes if node.setup is not None and node.setup.shows_enabled]
+                port.send(*(node.setpoint() for node in enabled), (self._sync_id, b""))
             self._clock.sleep(_POLL_WALL_S)
 
     def facts(self) -> list[str]:

@@ -23,7 +23,7 @@ _STANDSTILL_RADPS: Final = 2e-3
 _LOST_BEATS: Final = 3.0
 _SLACK: Final = 2.0  # times the largest rate of the axis
 _MODE_WALL_S: Final = 2.0
-_EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones are part of the same burst
+_EMERGENCY_S: Final = 0.05  # within this time after an emergency message, further ones of its code are the same burst
 _RATE_SAMPLES: Final = 5  # feedback over which the rate of a drive without a unit of velocity is taken
 _TORQUE_FRACTION: Final = 0.3  # of the limit that is set, for the first move of commissioning
 _RATE_LAG_S: Final = 0.02  # of the velocity that a drive measures
@@ -85,7 +85,7 @@ class Node:
         self._samples: deque[tuple[float, int]] = deque(maxlen=_RATE_SAMPLES)
         self._implausible_in_a_row = 0
         self._departed: tuple[float, int, float] | None = None
-        self._emergency_s = -math.inf
+        self._emergency_code, self._emergency_s = 0, -math.inf
         self._received_s = [now_s] * len(_MESSAGES)
 
     @property
@@ -307,8 +307,8 @@ class Node:
         except ValueError as error:
             self._count_implausible(f"emergency message has {error}")
             return
-        if code != 0 and now_s - self._emergency_s > _EMERGENCY_S:
-            self._emergency_s = now_s
+        if code != 0 and (code != self._emergency_code or now_s - self._emergency_s > _EMERGENCY_S):
+            self._emergency_code, self._emergency_s = code, now_s
             self._confirm_fault(code)
 
     def on_heartbeat(self, data: bytes) -> None:

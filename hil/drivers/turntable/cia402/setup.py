@@ -277,6 +277,11 @@ class DriveSetup(DriveObjects):
         self.position = self.hold()
         self._enabled_since_s = None
 
+    @property
+    def shows_enabled(self) -> bool:
+        """Whether the drive has shown that it is enabled, if not yet the mode of the setpoints."""
+        return self._enabled_since_s is not None
+
     def continue_enabling(self, standstill_radps: float) -> bool:
         """Take the next step towards operation enabled, at the present position; return whether it is.
 

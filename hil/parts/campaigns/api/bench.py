@@ -284,7 +284,7 @@ class Bench:
         if runner is None:
             raise self._ended_error("read the encoders")
         manipulator = runner.loop.bench.manipulator
-        if manipulator is None:
+        if manipulator is None or manipulator.params.rails:
             raise BenchError(f"bench: cannot read the target's encoders, {self._request.rig_name} rotates no target")
         feedback = new(record_dtype(GIMBALS_FIELDS))
         feedback.angle_rad, feedback.rate_radps = manipulator.feedback.position, manipulator.feedback.rate

@@ -32,7 +32,8 @@ const link = new Link({
       waived(page);
     }
     store.add(rows, header.rows, header.first);
-    if (header.portions) store.addPortions(header.portions);
+    if (header.portions) store.extend(store.portions, header.portions);
+    if (header.offsets) store.extend(store.offsets, header.offsets);
     if (header.picture) camera.receive(header.picture, data);
   },
   async required(what) {

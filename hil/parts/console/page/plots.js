@@ -17,6 +17,7 @@ export class Plots {
     this.where = where;
     this.window = 0;
     this.axis = 0;
+    this.tracked = "";
     this.stale = true;
     this.nis = { value: 0, text: "3 sigma" };
     this.compared = new Chart(this.canvas("compare"), { title: "", series: [], low: 0.2 });
@@ -74,6 +75,7 @@ export class Plots {
     this.compared.series = [
       off("vision", { name: "VMU", color: YELLOW, dots: true }),
       ...(this.monitored ? [{ name: "monitor", color: GREEN, points: (store) => this.monitor(store, axis) }] : []),
+      ...(this.tracked ? [{ name: this.tracked, color: X, points: (store) => this.tracker(store, axis) }] : []),
       off("bench", { name: "bench", color: WHITE, width: 2.5 }),
       off("estimate", { name: "filter", color: Y, width: 1.5, dash: [6, 2] }),
     ];
@@ -81,13 +83,24 @@ export class Plots {
 
   // Deviation of the docking monitor's position from the plan, mm: [t, value] of each batch with a pose.
   monitor(store, axis) {
-    const name = `reference_m.${"xyz"[axis]}`;
-    const found = [];
-    for (const { t_s, r_m } of store.portions) {
-      const row = Math.min(store.from(t_s), store.count - 1);
-      if (r_m && row >= 0) found.push([t_s, 1000 * (r_m[axis] - store.at(row, name))]);
+    return this.points(store, store.portions, ({ r_m }, row) => r_m && r_m[axis] - store.at(row, `reference_m.${"xyz"[axis]}`));
+  }
+
+  // The same of a tracker, which tells how far off the encoders are.
+  tracker(store, axis) {
+    const name = "xyz"[axis];
+    return this.points(store, store.offsets, ({ off_m }, row) => off_m[axis] + store.at(row, `bench_m.${name}`) - store.at(row, `reference_m.${name}`));
+  }
+
+  // [t, value in mm] of each of a list for which value, in m, is a number.
+  points(store, list, value) {
+    const shown = [];
+    for (const each of list) {
+      const row = Math.min(store.from(each.t_s), store.count - 1);
+      const metres = row < 0 ? null : value(each, row);
+      if (Number.isFinite(metres)) shown.push([each.t_s, 1000 * metres]);
     }
-    return found;
+    return shown;
   }
 
   key(event) {
@@ -107,6 +120,11 @@ export class Plots {
   }
 
   draw(store) {
+    const tracked = store.offsets.length ? store.offsets[0].name : "";
+    if (tracked !== this.tracked) {
+      this.tracked = tracked;
+      this.compare(this.axis);
+    }
     const end = store.count ? store.last("t_s") : 1;
     const first = store.count ? store.at(0, "t_s") : 0;
     const t0 = Math.max(first, end - WINDOWS_S[this.window]);

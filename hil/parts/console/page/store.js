@@ -10,12 +10,13 @@ export class Store {
     this.data = new Float32Array(0);
     this.version = 0;
     this.portions = []; // of the docking monitor: {t_s, status, frames, values, sigmas, r_m}
+    this.offsets = []; // of trackers: {name, t_s, off_m}
   }
 
   // first: number of the first of them, 0 replaces all
-  addPortions({ first, list }) {
-    this.portions.length = Math.min(first, this.portions.length);
-    this.portions.push(...list);
+  extend(kept, { first, list }) {
+    kept.length = Math.min(first, kept.length);
+    kept.push(...list);
     this.version++;
   }
 
