@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.maths import cholesky, stack
+from hil.maths import cholesky, elementary, stack
 from hil.maths.arrays import fill, fill_matrix
 
 ROWS: Final = 128
@@ -25,8 +25,9 @@ CYCLES: Final = 8
 _ORDER = 4  # rows before one that predict it: of two modes
 _SIGMA = 0.05  # of a row with neither fault nor swing, in the units of the thruster monitor
 _RANGE = 4.0  # of the readings of an IMU that is wrong, in these units
-_BROAD = math.log(_RANGE / (_SIGMA * math.sqrt(2.0 * math.pi)))  # by which a wrong reading is less likely than its best
+_BROAD = elementary.log(_RANGE / (_SIGMA * math.sqrt(2.0 * math.pi)))  # cost of a reading anywhere in that range
 _STANDS_OUT = 10.0  # difference of log likelihoods
+_MOST = 0.5  # of what a swing leaves
 _ONE_SIDED = 0.6  # sum of a swing's rows over that of their sizes, at most
 _THRUST_MIN = 0.3  # fraction of the thrust that an open thruster has, or a dead one lacks
 
@@ -126,15 +127,17 @@ def _failed(evidence, j, opens, k):
 def names_thruster(evidence, signature, j, opens):
     """Return whether thruster ``j``, open or else dead, explains what a swing leaves; signature: (6,), of its thrust.
 
-    It may have failed any number of rows ago, from 2 on. A run that has just begun has no swing yet.
+    It stands out, or explains most of that. It may have failed any number of rows ago, from 2 on. A run that has just
+    begun has no swing yet.
     """
-    y, before, n, best, back = stack.vector(128), stack.vector(6), evidence.n, 0.0, 2
+    y, before, n, best, back, total = stack.vector(128), stack.vector(6), evidence.n, 0.0, 2, 0.0
     if n <= 2 * _ORDER:
         return True
     for i in range(6):
         for k in range(n):
             y[k] = evidence.residual[_row(evidence, k), i]
         before[i] = _unpredicted(y, n)
+        total += before[i]
     while back <= n:
         product, size, gain = 0.0, 0.0, 0.0
         for k in range(n - back, n):
@@ -150,4 +153,4 @@ def names_thruster(evidence, signature, j, opens):
                     y[k] -= min(1.0, product / size) * _failed(evidence, j, opens, k) * signature[i]
                 gain += before[i] - _unpredicted(y, n)
         best, back = max(best, gain), back + max(1, back // 4)
-    return 0.5 * best / _SIGMA**2 > _STANDS_OUT
+    return best > min(2.0 * _SIGMA**2 * _STANDS_OUT, _MOST * total)
