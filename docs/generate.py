@@ -16,6 +16,7 @@ from typing import Final
 from pydantic import BaseModel
 
 from docs import benchmark_pages, package_pages, record_pages, result_pages, wire_pages
+from docs.fault_responses import RESPONSES
 from hil.cli.main import app
 from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.protocol import Protocol
@@ -25,11 +26,10 @@ from hil.config.scene import Scene
 from hil.config.tables.body import CentralBody
 from hil.config.tables.dispersions import Spread
 from hil.config.tables.driver_registry import DeviceTable
-from hil.config.tables.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
+from hil.config.tables.faults import EMULATED, TERMS, ErrorTerm
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.fields import markdown_table
 from hil.core.sensor_records import (
     SENSOR_ESTIMATE_FIELDS,
     SENSOR_INNOVATION_FIELDS,
@@ -189,7 +189,10 @@ fused](../../explanation/sensors.md).
         parts.append(f"Errors that are states of the filters: {', '.join(f'`{c}`' for c in found.error_columns())}.\n")
         rows = [f"| `{fault}` | {text} |" for fault, text in found.module.faults.items()]
         parts.append("| fault | how it is seen |\n|---|---|\n" + "\n".join(rows) + "\n")
-    parts += [f"## {name}\n\n{text}:\n\n{markdown_table(fields)}\n" for name, (text, fields) in SENSOR_RECORDS.items()]
+    parts += [
+        f"## {name}\n\n{text}:\n\n{record_pages.markdown_table(fields)}\n"
+        for name, (text, fields) in SENSOR_RECORDS.items()
+    ]
     return "\n".join(parts)
 
 

@@ -4,14 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from docs.c_headers import BACKEND_STRUCTS, STRUCTS
 from hil.core import manipulator_records, messages
-from hil.core.fields import Fields, markdown_table
-from hil.gnc_backends.c_header import BACKEND_STRUCTS, STRUCTS
+from hil.core.fields import Fields, record_dtype
 from hil.parts.fmi.model_stage import RECORDS as MODEL_RECORDS
 from hil.parts.monitor.results import PORTION_FIELDS
 
 Section = str | Fields
 """Text, or the fields of a table."""
+
+
+def markdown_table(fields: Fields) -> str:
+    """Return the fields as a table of Markdown: offset in bytes, type, name, unit, frame, meaning."""
+    dtype = record_dtype(fields)
+    rows = ["| offset | type | field | unit | frame | meaning |", "|---:|---|---|---|---|---|"]
+    offsets = [layout[1] for layout in (dtype.fields or {}).values()]
+    for field, offset in zip(fields, offsets, strict=True):
+        kind = _shown_type(dtype[field.name])
+        unit = "" if field.unit == "1" else field.unit
+        rows.append(f"| {offset} | {kind} | `{field.name}` | {unit} | {field.frame} | {field.meaning} |")
+    return "\n".join([*rows, f"| {dtype.itemsize} | | | | | *size* |"])
+
+
+def _shown_type(dtype: np.dtype) -> str:
+    base = dtype.base
+    text = "record" if base.names else (f"S{base.itemsize}" if base.kind == "S" else base.str[1:])
+    return text + (f"[{']['.join(map(str, dtype.shape))}]" if dtype.shape else "")
 
 
 def _page(sections: Sequence[Section]) -> str:

@@ -31,6 +31,16 @@ class Field:
     absent: float = 0.0
 
 
+def number(name: str, unit: str, meaning: str, absent: float = 0.0) -> Field:
+    """Return the field of a number without a frame."""
+    return Field(name, "f8", (), unit, "", meaning, absent)
+
+
+def whole(name: str, meaning: str) -> Field:
+    """Return the field of a whole number."""
+    return Field(name, "i8", (), "1", "", meaning)
+
+
 Fields = tuple[Field, ...]
 """Table of a record: its fields in the order of the memory layout."""
 
@@ -90,24 +100,6 @@ def leaf_fields(fields: Fields, prefix: str = "") -> Iterator[Field]:
             yield replace(field, name=name)
         else:
             yield from leaf_fields(field.type, f"{name}.")
-
-
-def markdown_table(fields: Fields) -> str:
-    """Return the fields as a table of Markdown: offset in bytes, type, name, unit, frame, meaning."""
-    dtype = record_dtype(fields)
-    rows = ["| offset | type | field | unit | frame | meaning |", "|---:|---|---|---|---|---|"]
-    offsets = [layout[1] for layout in (dtype.fields or {}).values()]
-    for field, offset in zip(fields, offsets, strict=True):
-        kind = _shown_type(dtype[field.name])
-        unit = "" if field.unit == "1" else field.unit
-        rows.append(f"| {offset} | {kind} | `{field.name}` | {unit} | {field.frame} | {field.meaning} |")
-    return "\n".join([*rows, f"| {dtype.itemsize} | | | | | *size* |"])
-
-
-def _shown_type(dtype: np.dtype) -> str:
-    base = dtype.base
-    text = "record" if base.names else (f"S{base.itemsize}" if base.kind == "S" else base.str[1:])
-    return text + (f"[{']['.join(map(str, dtype.shape))}]" if dtype.shape else "")
 
 
 def field_of(dtype: np.dtype, name: str) -> tuple[np.dtype, int]:

@@ -19,7 +19,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from hil.core.fields import Field, record_class, record_dtype
+from hil.core.fields import Field, number, record_class, record_dtype, whole
 from hil.core.messages import MAX_POSES, MAX_THRUSTERS, NAVIGATION_FIELDS, POSE_STATUS, REFERENCE_FIELDS
 from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_SAMPLE_FIELDS
 
@@ -107,9 +107,9 @@ class GncHealth(IntFlag):
 
 
 GNC_ORBIT_FIELDS: Final = (
-    Field("eccentricity", "f8", (), "1", "", "of the target's orbit, 0 for a circle"),
-    Field("mean_anomaly_rad", "f8", (), "rad", "", "of the target at t_s = 0"),
-    Field("tumbles", "i8", (), "1", "", "1: H is fixed in the body of a target that rotates freely; 0: Hill's frame"),
+    number("eccentricity", "1", "of the target's orbit, 0 for a circle"),
+    number("mean_anomaly_rad", "rad", "of the target at t_s = 0"),
+    whole("tumbles", "1: H is fixed in the body of a target that rotates freely; 0: Hill's frame"),
     Field("target_rate_radps", "f8", 3, "rad/s", "H", "of that body against inertial space at t_s = 0; else zero"),
     Field("target_inertia_kgm2", "f8", (3, 3), "kg m^2", "H", "inertia of that body; else zero"),
 )
@@ -118,21 +118,21 @@ GNC_ORBIT: Final = record_dtype(GNC_ORBIT_FIELDS)
 
 GNC_SETUP_FIELDS: Final = (
     Field("scenario", "S32", (), "", "", "name of the scenario"),
-    Field("step_s", "f8", (), "s", "", "length of a cycle"),
-    Field("duration_s", "f8", (), "s", "", "length of the run"),
-    Field("mean_motion_radps", "f8", (), "rad/s", "", "of the target's orbit: Hill's equations"),
-    Field("mass_kg", "f8", (), "kg", "", "nominal mass of the chaser"),
+    number("step_s", "s", "length of a cycle"),
+    number("duration_s", "s", "length of the run"),
+    number("mean_motion_radps", "rad/s", "of the target's orbit: Hill's equations"),
+    number("mass_kg", "kg", "nominal mass of the chaser"),
     Field("inertia_kgm2", "f8", (3, 3), "kg m^2", "c", "nominal inertia of the chaser"),
-    Field("n_thrusters", "i8", (), "1", "", "number of thrusters; the other places are zero"),
+    whole("n_thrusters", "number of thrusters; the other places are zero"),
     Field("thruster_position_m", "f8", (MAX_THRUSTERS, 3), "m", "c", "position of each thruster"),
     Field("thruster_force_N", "f8", (MAX_THRUSTERS, 3), "N", "c", "force on the chaser while open"),
-    Field("minimum_on_s", "f8", (), "s", "", "shortest burn"),
+    number("minimum_on_s", "s", "shortest burn"),
     Field("acceleration_mps2", "f8", 3, "m/s^2", "c", "of a force demand along each axis, without boost"),
     Field("angular_acceleration_radps2", "f8", 3, "rad/s^2", "c", "of a torque demand about each axis"),
     Field("start_r_CT_H_m", "f8", 3, "m", "H", "position at the start"),
     Field("start_q_CH", "f8", 4, "1", "H to c", "attitude at the start"),
     Field("ready_point_m", "f8", 3, "m", "H", "where the chaser waits for docking"),
-    Field("closing_rate_max_mps", "f8", (), "m/s", "", "largest closing rate"),
+    number("closing_rate_max_mps", "m/s", "largest closing rate"),
     *GNC_ORBIT_FIELDS,
 )
 GNC_SETUP: Final = record_dtype(GNC_SETUP_FIELDS)
@@ -141,7 +141,7 @@ GNC_SETUP_2: Final = record_dtype(GNC_SETUP_FIELDS[: -len(GNC_ORBIT_FIELDS)])
 """The mailbox gnc.setup: one with the orbit would not fit into an Ethernet frame."""
 
 GNC_POSE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
+    number("t_s", "s", "moment of exposure, time of the run"),
     Field("r_TC_C_m", "f8", 3, "m", "c", "target's reference point seen from the chaser's"),
     Field("q_CH", "f8", 4, "1", "H to c", "measured attitude"),
     Field("covariance_position_m2", "f8", (3, 3), "m^2", "c", "covariance of r_TC_C_m"),
@@ -158,29 +158,22 @@ BACKEND_SAMPLE_FIELDS: Final = (
     Field("rate_radps", "f8", 3, "rad/s", "c", "gyro, mean over the sample, against inertial space"),
     Field("force_mps2", "f8", 3, "m/s^2", "c", "accelerometer, mean over the sample"),
 )
-_N_SAMPLES: Final = Field("n_samples", "i8", (), "1", "", "samples of the IMU since the cycle before; none in cycle 0")
-_N_POSES: Final = Field("n_poses", "i8", (), "1", "", "poses since the cycle before")
+_N_SAMPLES: Final = whole("n_samples", "samples of the IMU since the cycle before; none in cycle 0")
+_N_POSES: Final = whole("n_poses", "poses since the cycle before")
 _SAMPLES: Final = Field("samples", BACKEND_SAMPLE_FIELDS, MAX_IMU_SAMPLES, "", "", "the first n_samples are valid")
 _POSES: Final = Field(
     "poses", BACKEND_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid, in order of arrival"
 )
 _MEASUREMENTS: Final = (
-    Field("n_measurements", "i8", (), "1", "", "measurements of further sensors since the cycle before"),
+    whole("n_measurements", "measurements of further sensors since the cycle before"),
     Field("measurements", SENSOR_SAMPLE_FIELDS, SAMPLES_PER_CYCLE, "", "", "the first n_measurements are valid"),
 )
 MEASURED_FIELDS: Final = (_N_SAMPLES, _N_POSES, _MEASUREMENTS[0], _SAMPLES, _POSES, _MEASUREMENTS[1])
 """Everything measured since the cycle before."""
 
 GNC_INPUT_FIELDS: Final = (
-    Field(
-        "cycle",
-        "i8",
-        (),
-        "1",
-        "",
-        "RUNNING: counts from 0, the output has the same number; else the last one, initially -1",
-    ),
-    Field("t_s", "f8", (), "s", "", "time of the run"),
+    whole("cycle", "RUNNING: counts from 0, the output has the same number; else the last one, initially -1"),
+    number("t_s", "s", "time of the run"),
     Field("mode", "i4", (), "1", "", "hil_gnc_mode"),
     Field("orders", "i4", (), "1", "", "hil_gnc_order"),
     Field("rate_radps", "f8", 3, "rad/s", "c", "gyro, mean over the last step, against inertial space"),
@@ -189,8 +182,8 @@ GNC_INPUT_FIELDS: Final = (
     Field("reference_v_CT_H_mps", "f8", 3, "m/s", "H", "velocity of the plan"),
     Field("reference_a_CT_H_mps2", "f8", 3, "m/s^2", "H", "acceleration of the plan"),
     Field("reference_q_CH", "f8", 4, "1", "H to c", "attitude of the plan"),
-    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets, as the brake of an abort needs"),
-    Field("n_poses", "i8", (), "1", "", "number of poses since the last input"),
+    whole("boost", "1: force demands open the high-thrust sets, as the brake of an abort needs"),
+    whole("n_poses", "number of poses since the last input"),
     Field("poses", GNC_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid; whole poses alone"),
     Field(
         "measured", MEASURED_FIELDS, (), "", "", "all samples, poses and measurements, as a navigation receives them"
@@ -201,42 +194,42 @@ GNC_INPUT_3: Final = record_dtype(GNC_INPUT_FIELDS[:-1])
 """The mailbox gnc.input, the input of protocol 3: what is measured has mailboxes of its own."""
 
 GNC_OUTPUT_FIELDS: Final = (
-    Field("cycle", "i8", (), "1", "", "of the input that this answers"),
+    whole("cycle", "of the input that this answers"),
     Field("state", "i4", (), "1", "", "hil_gnc_state"),
     Field("direct", "i4", (), "1", "", "1: on opens thrusters; 0: the bench allocates force and torque"),
     Field("force", "i4", 3, "1", "c", "demand along each axis: -1, 0 or 1"),
     Field("torque", "i4", 3, "1", "c", "demand about each axis: -1, 0 or 1"),
     Field("on", "u1", MAX_THRUSTERS, "1", "", "thrusters, 0 or 1"),
-    Field("estimate", "i8", (), "1", "", "1: the next four fields hold an estimate, which is recorded and monitored"),
+    whole("estimate", "1: the next four fields hold an estimate, which is recorded and monitored"),
     Field("r_CT_H_m", "f8", 3, "m", "H", "estimated position"),
     Field("v_CT_H_mps", "f8", 3, "m/s", "H", "estimated velocity"),
     Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude"),
     Field("w_CH_C_radps", "f8", 3, "rad/s", "c", "estimated rate against H"),
     Field("text", f"S{TEXT_BYTES}", (), "", "", "message for the operator; empty for none"),
     Field("protection_level_m", "f8", 3, "m", "H", "bound on the error of r_CT_H_m, per axis; 0 or nan: not reported"),
-    Field("protection_level_rad", "f8", (), "rad", "", "bound on the attitude error; 0 or nan: not reported"),
-    Field("health", "i8", (), "1", "", "0 healthy; sum of hil_gnc_health"),
+    number("protection_level_rad", "rad", "bound on the attitude error; 0 or nan: not reported"),
+    whole("health", "0 healthy; sum of hil_gnc_health"),
 )
 GNC_OUTPUT: Final = record_dtype(GNC_OUTPUT_FIELDS)
 
 _HEAD: Final = (
-    Field("cycle", "i8", (), "1", "", "number of the cycle, from 0"),
-    Field("t_s", "f8", (), "s", "", "time of the run"),
+    whole("cycle", "number of the cycle, from 0"),
+    number("t_s", "s", "time of the run"),
     Field("mode", "i4", (), "1", "", "hil_gnc_mode; a backend is called in RUNNING only"),
 )
 _THRUSTERS: Final = (
-    Field("fault", "i8", (), "1", "", "of a thruster, by the thruster monitor: 0 none, 1 stuck open, 2 dead"),
-    Field("fault_thruster", "i8", (), "1", "", "that has it, from 0"),
+    whole("fault", "of a thruster, by the thruster monitor: 0 none, 1 stuck open, 2 dead"),
+    whole("fault_thruster", "that has it, from 0"),
 )
 
 NAVIGATION_INPUT_FIELDS: Final = (
     *_HEAD,
     Field("orders", "i4", (), "1", "", "hil_gnc_order, as of the cycle before"),
-    Field("imu_suspect", "i8", (), "1", "", "1: the IMU's readings repeat, or no thruster explains them"),
+    whole("imu_suspect", "1: the IMU's readings repeat, or no thruster explains them"),
     _N_SAMPLES,
     _N_POSES,
-    Field("second_bound_m", "f8", (), "m", "", "bound on the position error by the docking monitor; 0: none"),
-    Field("second_bound_s", "f8", (), "s", "", "time of its measurement, time of the run"),
+    number("second_bound_m", "m", "bound on the position error by the docking monitor; 0: none"),
+    number("second_bound_s", "s", "time of its measurement, time of the run"),
     *_THRUSTERS,
     Field("commanded", "u1", MAX_THRUSTERS, "1", "", "thrusters commanded in the cycle before, 0 or 1"),
     Field("isolated", "u1", MAX_THRUSTERS, "1", "", "thrusters whose supply is being or has been closed, 0 or 1"),
@@ -255,9 +248,9 @@ NAVIGATION_OUTPUT_FIELDS: Final = (
 CONTROL_INPUT_FIELDS: Final = (
     *_HEAD,
     Field("orders", "i4", (), "1", "", "hil_gnc_order, as of this cycle"),
-    Field("phase", "i8", (), "1", "", "number of the phase; after the list: brake, retreat, hold of an abort"),
-    Field("reaction", "i8", (), "1", "", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
-    Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
+    whole("phase", "number of the phase; after the list: brake, retreat, hold of an abort"),
+    whole("reaction", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
+    whole("aborted", "cause of the abort, 0 for none"),
     *_THRUSTERS,
     Field("isolated", "u1", MAX_THRUSTERS, "1", "", "thrusters whose supply is being or has been closed, 0 or 1"),
     Field("withheld", "u1", MAX_THRUSTERS, "1", "", "thrusters that the bench keeps closed in this cycle, 0 or 1"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.core.fields import Field, record_dtype
+from hil.core.fields import Field, number, record_dtype, whole
 from hil.core.messages import AXES_FIELDS, AXES_MAX
 
 GIMBALS_FIELDS: Final = (
@@ -16,10 +16,10 @@ GIMBALS_FIELDS: Final = (
 )
 
 MANIPULATOR_SAMPLE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "time of the run, that of the cycle's row"),
+    number("t_s", "s", "time of the run, that of the cycle's row"),
     Field("setpoint", GIMBALS_FIELDS),
     Field("feedback", GIMBALS_FIELDS),
-    Field("sampled_s", "f8", (), "s", "", "when the encoders had these values, time of the run"),
+    number("sampled_s", "s", "when the encoders had these values, time of the run"),
     Field("chaser_setpoint", AXES_FIELDS),
     Field("chaser_feedback", AXES_FIELDS),
 )
@@ -28,12 +28,12 @@ MANIPULATOR_SAMPLE: Final = record_dtype(MANIPULATOR_SAMPLE_FIELDS)
 
 
 HELD_SAMPLE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "time of the run, that of the cycle's row"),
-    Field("group", "i8", (), "1", "", "number of the group in `held_axes.json`, from 0"),
+    number("t_s", "s", "time of the run, that of the cycle's row"),
+    whole("group", "number of the group in `held_axes.json`, from 0"),
     Field("setpoint", "f8", AXES_MAX, "SI", "", "of its axes, m or rad; of axes that it lacks zero"),
     Field("position", "f8", AXES_MAX, "SI", "", "by the encoders, m or rad"),
     Field("rate", "f8", AXES_MAX, "SI", "", "by the encoders, m/s or rad/s"),
-    Field("sampled_s", "f8", (), "s", "", "when the encoders had these values, time of the run"),
+    number("sampled_s", "s", "when the encoders had these values, time of the run"),
 )
 HELD_SAMPLE: Final = record_dtype(HELD_SAMPLE_FIELDS)
 """Places and newest encoder values of one group in a cycle."""

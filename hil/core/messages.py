@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.fields import Field, leaf_fields, record_dtype
+from hil.core.fields import Field, leaf_fields, number, record_dtype, whole
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ MAX_THIRD_BODIES = 4
 MAX_MODES = 8  # modes of the solar array
 
 TRUTH_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "time of the truth"),
+    number("t_s", "s", "time of the truth"),
     Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point relative to the target's"),
     Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity as seen in H"),
     Field("q_CH", "f8", 4, "1", "H to c", "attitude quaternion, scalar last"),
@@ -39,14 +39,14 @@ TRUTH_FIELDS: Final = (
     Field("v_T_I", "f8", 3, "m/s", "I", "target's velocity"),
     Field("q_HI", "f8", 4, "1", "I to H", "attitude of H, scalar last"),
     Field("w_HI_H", "f8", 3, "rad/s", "H", "H against inertial space"),
-    Field("eta", "f8", (), "m kg^1/2", "", "bending of the solar array, its first mode"),
-    Field("eta_rate", "f8", (), "m kg^1/2/s", "", "its rate"),
-    Field("mass_kg", "f8", (), "kg", "", "mass of the chaser"),
+    number("eta", "m kg^1/2", "bending of the solar array, its first mode"),
+    number("eta_rate", "m kg^1/2/s", "its rate"),
+    number("mass_kg", "kg", "mass of the chaser"),
     Field("open_s", "f8", MAX_THRUSTERS, "s", "", "time for which each valve has been open, 0 closed"),
     Field("mean_rate_C", "f8", 3, "rad/s", "c", "mean of w_CI_C over the last step: what a gyro integrates"),
     Field("mean_force_C", "f8", 3, "m/s^2", "c", "specific force, mean over the last step"),
     Field("thrust_fraction", "f8", MAX_THRUSTERS, "1", "", "open part of the last step, by thruster, 0 to 1"),
-    Field("sunlight", "f8", (), "1", "", "visible fraction of the Sun's disc; 1 without eclipses", 1.0),
+    number("sunlight", "1", "visible fraction of the Sun's disc; 1 without eclipses", 1.0),
 )
 TRUTH = record_dtype(TRUTH_FIELDS)
 
@@ -58,17 +58,16 @@ IMU_FIELDS: Final = (
 )
 IMU = record_dtype(IMU_FIELDS)
 
-POSE_STATUS: Final = Field(
-    "status", "i8", (), "1", "",
-    "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess",
-)  # fmt: skip
+POSE_STATUS: Final = whole(
+    "status", "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess"
+)
 POSE_FIELDS: Final = (
     Field("z_TC_C", "f8", 3, "m", "c", "target's reference point seen from the chaser's"),
     Field("covariance_position", "f8", (3, 3), "m^2", "c", "covariance of z_TC_C"),
     Field("q_CH", "f8", 4, "1", "H to c", "measured attitude, scalar last"),
     Field("covariance_attitude", "f8", (3, 3), "rad^2", "c", "covariance of the small-angle rotation of c"),
-    Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
-    Field("fresh", "i8", (), "1", "", "number of poses that arrived in this cycle; this is the newest"),
+    number("t_s", "s", "moment of exposure, time of the run"),
+    whole("fresh", "number of poses that arrived in this cycle; this is the newest"),
     Field(
         "covariance_cross", "f8", (3, 3), "m rad", "c", "of the errors of z_TC_C (rows) and of the small-angle rotation"
     ),
@@ -77,7 +76,7 @@ POSE_FIELDS: Final = (
 POSE = record_dtype(POSE_FIELDS)
 
 NAVIGATION_FIELDS: Final = (
-    Field("valid", "i8", (), "1", "", "1 after the first pose"),
+    whole("valid", "1 after the first pose"),
     Field("r_CT_H", "f8", 3, "m", "H", "estimated position"),
     Field("v_CT_H", "f8", 3, "m/s", "H", "estimated velocity"),
     Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude, scalar last"),
@@ -85,11 +84,11 @@ NAVIGATION_FIELDS: Final = (
     Field("sigma_r_m", "f8", 3, "m", "H", "standard deviation of the position"),
     Field("sigma_v_mps", "f8", 3, "m/s", "H", "standard deviation of the velocity"),
     Field("sigma_attitude_rad", "f8", 3, "rad", "c", "standard deviation of the attitude"),
-    Field("nis_position", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
-    Field("nis_attitude", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
+    number("nis_position", "1", "normalised innovation squared, 3 components; nan without an update"),
+    number("nis_attitude", "1", "normalised innovation squared, 3 components; nan without an update"),
     Field("protection_level_m", "f8", 3, "m", "H", "bound on the position error, nan if not reported", math.nan),
-    Field("protection_level_rad", "f8", (), "rad", "", "bound on the attitude error, nan if not reported", math.nan),
-    Field("health", "i8", (), "1", "", "0 healthy; sum of the bits of hil_gnc_health"),
+    number("protection_level_rad", "rad", "bound on the attitude error, nan if not reported", math.nan),
+    whole("health", "0 healthy; sum of the bits of hil_gnc_health"),
 )
 NAVIGATION = record_dtype(NAVIGATION_FIELDS)
 
@@ -98,35 +97,31 @@ REFERENCE_FIELDS: Final = (
     Field("v_CT_H", "f8", 3, "m/s", "H", "reference velocity"),
     Field("a_CT_H", "f8", 3, "m/s^2", "H", "reference acceleration"),
     Field("q_CH", "f8", 4, "1", "H to c", "reference attitude, scalar last"),
-    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets"),
-    Field("phase", "i8", (), "1", "", "number of the phase; after the list: brake, retreat, hold of an abort"),
+    whole("boost", "1: force demands open the high-thrust sets"),
+    whole("phase", "number of the phase; after the list: brake, retreat, hold of an abort"),
     Field("from_H", "f8", 3, "m", "H", "start of the phase's line"),
     Field("to_H", "f8", 3, "m", "H", "end of the phase's line"),
 )
 REFERENCE = record_dtype(REFERENCE_FIELDS)
 
 SUPERVISION_FIELDS: Final = (
-    Field("corridor_margin_m", "f8", (), "m", "", "of the estimate, negative outside"),
-    Field("closing_margin_mps", "f8", (), "m/s", "", "allowed minus actual closing rate"),
-    Field("broken_cycles", "i8", (), "1", "", "consecutive cycles in which a limit is violated"),
-    Field("ready_since_s", "f8", (), "s", "", "start of the estimate's stay within Table III; nan outside"),
-    Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
-    Field("aborted_at_s", "f8", (), "s", "", "time of the run at which the approach was aborted"),
-    Field("reaction", "i8", (), "1", "", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
+    number("corridor_margin_m", "m", "of the estimate, negative outside"),
+    number("closing_margin_mps", "m/s", "allowed minus actual closing rate"),
+    whole("broken_cycles", "consecutive cycles in which a limit is violated"),
+    number("ready_since_s", "s", "start of the estimate's stay within Table III; nan outside"),
+    whole("aborted", "cause of the abort, 0 for none"),
+    number("aborted_at_s", "s", "time of the run at which the approach was aborted"),
+    whole("reaction", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
     Field(
         "level", "f8", 3, "m, rad", "", "protection levels along the docking axis, across it, of the attitude", math.nan
     ),
     Field("alert_limit", "f8", 3, "m, rad", "", "alert limits of these levels, at the estimate", math.nan),
-    Field(
+    whole(
         "level_term",
-        "i8",
-        (),
-        "1",
-        "",
         "largest term of the level that is nearest its limit: 1 noise, 2 undetected fault of the poses, 3 its growth "
         "since the last pose, 4 reopened gate, 5 second sensor; 0 unknown",
     ),
-    Field("level_term_m", "f8", (), "m, rad", "", "that term", math.nan),
+    number("level_term_m", "m, rad", "that term", math.nan),
 )
 SUPERVISION = record_dtype(SUPERVISION_FIELDS)
 
@@ -139,7 +134,7 @@ COMMAND_FIELDS: Final = (
     Field(
         "owed", "f8", 6, "m/s, rad/s", "c", "pending delta-v: change of rate requested by the reference, not yet fired"
     ),
-    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets, as in the reference"),
+    whole("boost", "1: force demands open the high-thrust sets, as in the reference"),
 )
 COMMAND = record_dtype(COMMAND_FIELDS)
 
@@ -152,7 +147,7 @@ AXES_FIELDS: Final = (
 AXES = record_dtype(AXES_FIELDS)
 
 CYCLE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "time of the run"),
+    number("t_s", "s", "time of the run"),
     Field("truth", TRUTH_FIELDS),
     Field("imu", IMU_FIELDS),
     Field("pose", POSE_FIELDS),
@@ -163,42 +158,18 @@ CYCLE_FIELDS: Final = (
     Field("setpoint", AXES_FIELDS),
     Field("feedback", AXES_FIELDS),
     Field("sampled_s", "f8", 2, "s", "", "when the encoders of rails and turntable had these values, time of the run"),
-    Field("received_s", "f8", (), "s", "", "last byte of the newest pose's frame, time of the run"),
-    Field("commanded_s", "f8", (), "s", "", "when the thruster command was complete, time of the run"),
-    Field(
-        "on_wire_s",
-        "f8",
-        (),
-        "s",
-        "",
-        "last change of the thrusters' digital lines, time of the run; nan without lines",
-    ),
-    Field("lateness_s", "f8", (), "s", "", "lateness of the cycle's wake-up, wall clock"),
-    Field(
-        "nees_position",
-        "f8",
-        (),
-        "1",
-        "",
-        "normalised error squared of the position filter, 9 states; nan without a pose",
-    ),
-    Field(
-        "nees_attitude",
-        "f8",
-        (),
-        "1",
-        "",
-        "normalised error squared of the attitude filter, 6 states; nan without a pose",
-    ),
-    Field(
+    number("received_s", "s", "last byte of the newest pose's frame, time of the run"),
+    number("commanded_s", "s", "when the thruster command was complete, time of the run"),
+    number("on_wire_s", "s", "last change of the thrusters' digital lines, time of the run; nan without lines"),
+    number("lateness_s", "s", "lateness of the cycle's wake-up, wall clock"),
+    number("nees_position", "1", "normalised error squared of the position filter, 9 states; nan without a pose"),
+    number("nees_attitude", "1", "normalised error squared of the attitude filter, 6 states; nan without a pose"),
+    number(
         "monitor_bound_m",
-        "f8",
-        (),
         "m",
-        "",
         "bound on the position error by the docking monitor's newest measurement, at its time; 0: none",
     ),
-    Field("monitor_bound_s", "f8", (), "s", "", "time of that measurement, time of the run"),
+    number("monitor_bound_s", "s", "time of that measurement, time of the run"),
     Field(
         "bench_off",
         "f8",
@@ -221,41 +192,41 @@ CYCLE = record_dtype(CYCLE_FIELDS)
 _OF_THRUSTERS: Final = {f.name.rpartition(".")[2] for f in leaf_fields(CYCLE_FIELDS) if f.shape == MAX_THRUSTERS}
 
 IMU_SAMPLE_FIELDS: Final = (
-    Field("cycle", "i8", (), "1", "", "number of the cycle that uses it"),
-    Field("t_s", "f8", (), "s", "", "end of the sample, time of the run"),
+    whole("cycle", "number of the cycle that uses it"),
+    number("t_s", "s", "end of the sample, time of the run"),
     Field("imu", IMU_FIELDS),
 )
 IMU_SAMPLE = record_dtype(IMU_SAMPLE_FIELDS)
 """A sample of an IMU that is faster than the cycle."""
 
 AXES_SAMPLE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "time of the run at which the setpoint was sent"),
+    number("t_s", "s", "time of the run at which the setpoint was sent"),
     Field("setpoint", AXES_FIELDS),
     Field("feedback", AXES_FIELDS),
     Field("sampled_s", "f8", 2, "s", "", "when the encoders of rails and turntable had these values, time of the run"),
-    Field("lateness_s", "f8", (), "s", "", "lateness of the wake-up, wall clock"),
+    number("lateness_s", "s", "lateness of the wake-up, wall clock"),
 )
 AXES_SAMPLE = record_dtype(AXES_SAMPLE_FIELDS)
 """A setpoint of axes that are faster than the cycle, with the encoders read before it."""
 
 VMU_FRAME_FIELDS: Final = (
-    Field("counter", "i8", (), "1", "", "frame number of the unit, wraps at 2^32"),
-    Field("t_s", "f8", (), "s", "", "exposure, bench time"),
-    Field("received_s", "f8", (), "s", "", "last byte, bench time"),
+    whole("counter", "frame number of the unit, wraps at 2^32"),
+    number("t_s", "s", "exposure, bench time"),
+    number("received_s", "s", "last byte, bench time"),
     Field("t_v", "f8", 3, "m", "v", "ring centre from the left camera"),
     Field("q_vt", "f8", 4, "1", "t to v", "attitude of the ring, scalar last"),
     Field(
         "covariance", "f8", (6, 6), "m^2, m rad, rad^2", "v", "of t_v and of the small-angle rotation e about v's axes"
     ),
-    Field("leds_left", "i8", (), "1", "", "bit n: LED n was used in the left image"),
-    Field("leds_right", "i8", (), "1", "", "bit n: LED n was used in the right image"),
-    Field("status", "i8", (), "1", "", "status that the vision unit reported: 0 good, 2 a position alone"),
+    whole("leds_left", "bit n: LED n was used in the left image"),
+    whole("leds_right", "bit n: LED n was used in the right image"),
+    whole("status", "status that the vision unit reported: 0 good, 2 a position alone"),
 )
 VMU_FRAME = record_dtype(VMU_FRAME_FIELDS)
 """A frame of the vision unit; ``PoseFrame`` is its view in Python."""
 
 ARRIVAL_FIELDS: Final = (
-    Field("cycle", "i8", (), "1", "", "number of the cycle that used it, -1 for none"),
+    whole("cycle", "number of the cycle that used it, -1 for none"),
     Field("frame", VMU_FRAME_FIELDS),
     Field("pose", POSE_FIELDS),
 )

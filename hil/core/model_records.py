@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.core.fields import Field, Fields
+from hil.core.fields import Field, Fields, number
 from hil.core.messages import MAX_THRUSTERS
 
-_TIME: Final = Field("t_s", "f8", (), "s", "", "start of the step, time of the run")
-_STEP: Final = Field("step_s", "f8", (), "s", "", "step")
+_TIME: Final = number("t_s", "s", "start of the step, time of the run")
+_STEP: Final = number("step_s", "s", "step")
 
 THRUSTERS_SETUP_FIELDS: Final[Fields] = (
     _STEP,
-    Field("n_thrusters", "f8", (), "1", "", "number of thrusters"),
-    Field("minimum_on_s", "f8", (), "s", "", "shortest time for which a valve opens"),
+    number("n_thrusters", "1", "number of thrusters"),
+    number("minimum_on_s", "s", "shortest time for which a valve opens"),
 )
 THRUSTERS_INPUT_FIELDS: Final[Fields] = (
     _TIME,
@@ -29,12 +29,12 @@ THRUSTERS_OUTPUT_FIELDS: Final[Fields] = (
 
 TRUTH_SETUP_FIELDS: Final[Fields] = (
     _STEP,
-    Field("orbit_rate_radps", "f8", (), "rad/s", "", "mean motion of the target"),
+    number("orbit_rate_radps", "rad/s", "mean motion of the target"),
     Field("initial_r_CT_H_m", "f8", 3, "m", "H", "initial position of the chaser relative to the target"),
     Field("initial_v_CT_H_mps", "f8", 3, "m/s", "H", "initial velocity"),
     Field("initial_q_CH", "f8", 4, "1", "H to c", "initial attitude, scalar last"),
     Field("initial_w_CI_C_radps", "f8", 3, "rad/s", "c", "initial rate against inertial space"),
-    Field("initial_mass_kg", "f8", (), "kg", "", "initial mass"),
+    number("initial_mass_kg", "kg", "initial mass"),
     Field("inertia_kgm2", "f8", (3, 3), "kg m^2", "c", "inertia about the centre of mass"),
 )
 TRUTH_INPUT_FIELDS: Final[Fields] = (
@@ -48,7 +48,7 @@ TRUTH_OUTPUT_FIELDS: Final[Fields] = (
     Field("v_CT_H_mps", "f8", 3, "m/s", "H", "velocity"),
     Field("q_CH", "f8", 4, "1", "H to c", "attitude, scalar last"),
     Field("w_CI_C_radps", "f8", 3, "rad/s", "c", "rate against inertial space"),
-    Field("mass_kg", "f8", (), "kg", "", "mass"),
+    number("mass_kg", "kg", "mass"),
     Field("mean_rate_C_radps", "f8", 3, "rad/s", "c", "mean rate over the step, for the gyros"),
     Field("mean_force_C_mps2", "f8", 3, "m/s^2", "c", "mean specific force at the reference point over the step"),
 )

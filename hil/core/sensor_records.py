@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from hil.core.fields import Field, record_dtype
+from hil.core.fields import Field, number, record_dtype, whole
 
 ADDED_SENSORS_MAX: Final = 8
 """Sensors that a scenario can add."""
@@ -28,16 +28,16 @@ SAMPLES_PER_CYCLE: Final = 16
 """Samples of all sensors that the navigation takes in one cycle."""
 
 SENSOR_SAMPLE_FIELDS: Final = (
-    Field("sensor", "i8", (), "1", "", "number of the sensor in the scenario, from 0"),
-    Field("number", "i8", (), "1", "", "number of the measurement of that sensor, from 0"),
-    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
-    Field("received_s", "f8", (), "s", "", "when the loop received it, time of the run"),
+    whole("sensor", "number of the sensor in the scenario, from 0"),
+    whole("number", "number of the measurement of that sensor, from 0"),
+    number("t_s", "s", "moment of the measurement, time of the run"),
+    number("received_s", "s", "when the loop received it, time of the run"),
     Field("value", "f8", COMPONENTS_MAX, "SI", "", "components as the module declares them; the others are zero"),
     Field(
         "covariance", "f8", (COMPONENTS_MAX, COMPONENTS_MAX), "SI", "",
         "of the noise, as the sensor reports it; zero if it does not",
     ),
-    Field("status", "i8", (), "1", "", "status that the sensor reported, 0 good"),
+    whole("status", "status that the sensor reported, 0 good"),
 )  # fmt: skip
 SENSOR_SAMPLE = record_dtype(SENSOR_SAMPLE_FIELDS)
 
@@ -47,17 +47,17 @@ NOT_USED, REJECTED, ACCEPTED, EXCLUDED, LATE = range(5)
 A sample of a witness is ACCEPTED if it agrees with the navigation, REJECTED if not, LATE if too old to be compared."""
 
 SENSOR_ARRIVAL_FIELDS: Final = (
-    Field("cycle", "i8", (), "1", "", "number of the cycle in which the loop received it"),
+    whole("cycle", "number of the cycle in which the loop received it"),
     Field("sample", SENSOR_SAMPLE_FIELDS),
-    Field("result", "i8", (), "1", "", "0 not used, 1 rejected, 2 accepted, 3 sensor excluded, 4 too late"),
+    whole("result", "0 not used, 1 rejected, 2 accepted, 3 sensor excluded, 4 too late"),
     Field("innovation", "f8", COMPONENTS_MAX, "1", "", "each component over its standard deviation", math.nan),
-    Field("nis", "f8", (), "1", "", "normalised innovation squared", math.nan),
+    number("nis", "1", "normalised innovation squared", math.nan),
 )
 SENSOR_ARRIVAL = record_dtype(SENSOR_ARRIVAL_FIELDS)
 """A sample as the loop received it, and what the navigation made of it: the row that is recorded."""
 
 _RELATIVE_MOTION: Final = (
-    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
+    number("t_s", "s", "moment of the measurement, time of the run"),
     Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point from the target's"),
     Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity, as seen in H"),
     Field("q_CH", "f8", 4, "1", "", "attitude of the chaser"),
@@ -71,8 +71,8 @@ SENSOR_TRUTH_FIELDS: Final = (
     Field("v_T_I", "f8", 3, "m/s", "I", "its velocity"),
     Field("q_HI", "f8", 4, "1", "", "attitude of H"),
     _SUN,
-    Field("sunlight", "f8", (), "1", "", "visible fraction of the Sun's disc; 1 without eclipses"),
-    Field("dt_s", "f8", (), "s", "", "since the measurement before, 0 for the first"),
+    number("sunlight", "1", "visible fraction of the Sun's disc; 1 without eclipses"),
+    number("dt_s", "s", "since the measurement before, 0 for the first"),
     Field("normal", "f8", NORMALS, "1", "", "independent standard normals: the only random numbers of a measurement"),
     Field("memory", "f8", MEMORY, "", "", "of the module's own: zero before the run, kept between measurements"),
 )
@@ -92,7 +92,7 @@ STATES: Final = 9
 ``u_true = u_estimated - theta x u`` for the components in c of a vector."""
 
 SENSOR_OUTPUT_FIELDS: Final = (
-    Field("valid", "i8", (), "1", "", "1; a module sets 0 if there is no measurement"),
+    whole("valid", "1; a module sets 0 if there is no measurement"),
     Field("sample", SENSOR_SAMPLE_FIELDS),
 )
 SENSOR_OUTPUT = record_dtype(SENSOR_OUTPUT_FIELDS)

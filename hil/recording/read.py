@@ -248,7 +248,7 @@ class Recorded:
 
     def calibration(self, name: str, model: type[_Model]) -> _Model:
         """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
-        return _model_of(self.path, self.run, self.files, name, model)
+        return _model(self, name, model)
 
 
 def load(path: Path) -> Recorded:
@@ -437,11 +437,8 @@ def present_note(note: dict[str, Any]) -> dict[str, Any]:
     return note | {"message": f"{present_key('Scenario', key.strip())}{equals}{value}"}
 
 
-def _model(recording: Contents, name: str, model: type[_Model]) -> _Model:
-    return _model_of(recording.path, recording.run, recording.files, name, model)
-
-
-def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str, model: type[_Model]) -> _Model:
+def _model(recording: Contents | Recorded, name: str, model: type[_Model]) -> _Model:
+    path, files = recording.path, recording.files
     if name not in files:
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
@@ -453,5 +450,5 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        text = f"{first['msg']}: not valid in this program's configuration; read it with hil {run.get('hil')}"
+        text = f"{first['msg']}: not valid in this program's configuration; read it with hil {recording.run.get('hil')}"
         raise BadInput.single(str(path), f"{name}: {key}", text) from error

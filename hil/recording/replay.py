@@ -23,6 +23,7 @@ from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.core_memory import CycleData
 from hil.loop.runner import COMPLETED
+from hil.maths.limits import finite_or_none
 from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded, RowBatch
 from hil.recording.schema import flat_fields
@@ -328,8 +329,8 @@ def _difference(name: str, t_s: np.ndarray, original: np.ndarray, now: np.ndarra
         len(where),
         int(where[0]),
         float(t_s[where[0]]),
-        _finite(sizes[0]),
-        _finite(sizes[largest]),
+        finite_or_none(sizes[0]),
+        finite_or_none(sizes[largest]),
         float(t_s[where[largest]]),
     )
 
@@ -342,10 +343,6 @@ def _field(rows: np.ndarray, name: str) -> np.ndarray:
 
 def _bits(values: np.ndarray) -> np.ndarray:
     return values.view(np.int64)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _events(

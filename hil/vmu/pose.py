@@ -14,7 +14,7 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
 from hil.vmu.kernels.budget import chi_square_growth, equations, fill_shared
-from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows, mark_near
+from hil.vmu.kernels.match import assign, chi_square_limit, fill_view, led_windows
 from hil.vmu.kernels.pose_search import (
     SEARCH,
     STATE_FITS,
@@ -29,7 +29,7 @@ from hil.vmu.kernels.records import CELLS, FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPO
 from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
-_MOST_TRIPLES, _TRIPLES_PER_START = 18_000, 15  # pairings of three spots with three LEDs for a pair: about 40 ms
+_MOST_TRIPLES, _TRIPLES_PER_START = 14_000, 15  # pairings of three spots with three LEDs for a pair: about 40 ms
 _COARSE = 5.0  # sigmas
 _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
@@ -151,9 +151,7 @@ class Solver:
             chosen = np.arange(len(spots))
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
-            for k, index in enumerate(chosen):
-                fill_spot_ray(self.scene.lens[c], self.slack[c], spots[index], rays[c, k])
-                mark_near(self.scene.lens[c], rays[c, k], near[c])
+            fill_view(self.scene.lens[c], self.slack[c], spots, chosen, rays[c], near[c])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order, near)

@@ -20,6 +20,7 @@ from hil.vmu.kernels.records import SATURATED
 from hil.vmu.pose import SolverSettings
 
 BRIGHT_LEVEL: Final = 230
+_CLIPPED_PX: Final = 300
 DARK_LEVELS: Final = 60
 """An image whose brightest pixel is less above its background is dark."""
 
@@ -34,6 +35,14 @@ def contrast(images: Sequence[np.ndarray | None]) -> tuple[int, float]:
 def overexposed(image: np.ndarray) -> float:
     """Return the fraction of an image at or near full scale."""
     return float((image[::4, ::4] >= BRIGHT_LEVEL).mean())
+
+
+def reason_of_time(images: Sequence[np.ndarray | None], spots: Sequence[np.ndarray]) -> str:
+    """Return why a pair took too long."""
+    clipped = max(int((image >= BRIGHT_LEVEL).sum()) for image in images if image is not None)
+    if clipped > _CLIPPED_PX:
+        return f"{clipped} pixels at full scale take too long to measure: shorten the exposure"
+    return f"{len(spots[0])} and {len(spots[1])} lights are too many for the time of a pair: darken them"
 
 
 def reason(

@@ -19,6 +19,7 @@ from hil.maths import quat
 from hil.vmu import refusals
 from hil.vmu.consistency import Consistency
 from hil.vmu.detect import SpotDetector
+from hil.vmu.flicker import Flicker
 from hil.vmu.ghosts import LensGhosts
 from hil.vmu.identify import (
     AMBIGUOUS,
@@ -187,6 +188,7 @@ class VisionUnit:
         self._jump = Track(self.track.settings)
         self._sample = LongSample()
         self._identifier = Identifier(self.solver, geometry.marked_led)
+        self._flicker = tuple(Flicker(camera.row_time_s or 0.0) for camera in (geometry.left, geometry.right))
         self._vibration = Vibration(geometry.tolerances.vibration_px)
         self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
@@ -214,7 +216,12 @@ class VisionUnit:
         expected = prediction or self.track.predict(t_s)
         self.solver.begin_pair(self.track.motion(t_s), self._vibration.sigma_px)
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
-        return solution or self._by_search(images, t_s, expected)
+        solution = solution or self._by_search(images, t_s, expected)
+        for camera, lights in zip(self._flicker, solution.spots, strict=True):
+            camera.add(lights)
+        if solution.status in (OK, SUSPECT) or not (why := next(filter(None, (c.reason() for c in self._flicker)), "")):
+            return solution
+        return replace(solution, doubt=Doubt(why))
 
     @property
     def ghosts(self) -> tuple[LensGhosts, ...]:
@@ -291,10 +298,9 @@ class VisionUnit:
         is_overfull = any(detector.overfull for detector in self._detectors)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
-        is_exhausted = self.solver.is_exhausted or any(detector.is_exhausted for detector in self._detectors)
         if not is_overfull and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
-        if verdict.status in (TOO_FEW, NO_MATCH) and not is_exhausted:
+        if verdict.status in (TOO_FEW, NO_MATCH) and not (is_overfull or self._is_exhausted):
             verdict, view, spots = self._before_steps(images, expected) or (verdict, view, spots)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
             clipped = max(refusals.overexposed(image) for image in images if image is not None)
@@ -303,15 +309,19 @@ class VisionUnit:
             )
         if not any(len(side) for side in spots):
             return self._without_light(images, t_s, is_overfull)
-        if is_exhausted and verdict.status in (TOO_FEW, NO_MATCH, GEOMETRY):
-            why = f"{len(spots[0])} and {len(spots[1])} lights are too many for the time of a pair: darken them"
-            return replace(self._predicted(t_s, BUDGET, spots), doubt=Doubt(why))
+        if self._is_exhausted and verdict.status in (TOO_FEW, NO_MATCH, GEOMETRY):
+            return replace(self._predicted(t_s, BUDGET, spots), doubt=Doubt(refusals.reason_of_time(images, spots)))
         solution = self._conclude(verdict, view, spots, t_s, full_frame=True)
         if solution.pose is not None or solution.partial is not None or solution.doubt is not None:
             return solution
         settings = self.solver.settings
         why = refusals.reason(verdict, spots, len(self._none), settings, lambda: self._fits_swapped(spots))
         return replace(solution, doubt=Doubt(why)) if why else solution
+
+    @property
+    def _is_exhausted(self) -> bool:
+        """Return whether searches or fits of the pair have taken all of their time."""
+        return self.solver.is_exhausted or any(detector.is_exhausted for detector in self._detectors)
 
     def _without_light(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, is_overfull: bool

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from docs.fault_responses import RESPONSES
 from hil.config.load import load_rig, load_scenario
-from hil.config.tables.faults import RESPONSES, TERMS
+from hil.config.tables.faults import TERMS
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.parts.campaigns.case_runner import COMPLETED, CaseRunner

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from typing import Any
 
 from hil.config.load import load_protocol
 from hil.config.rig import Turntable
@@ -14,8 +15,7 @@ from hil.drivers.tcp_port import SCHEME, is_tcp
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, FieldValues
 from hil.errors import BadInput
-from hil.maths.random_streams import stream
-from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes, ReadChain
+from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes
 from hil.parts.emulation.fault_injection import FaultyChannel, FaultyWire
 from hil.parts.emulation.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.parts.emulation.pty_line import PtyLine
@@ -52,13 +52,7 @@ class AsciiTurntableEmulator:
     """
 
     def __init__(
-        self,
-        config: Turntable,
-        clock: BenchClock,
-        shared: SharedAxisState,
-        chain: ReadChain | None = None,
-        seed: int = 0,
-        name: str = "turntable",
+        self, config: Turntable, clock: BenchClock, shared: SharedAxisState, name: str = "turntable", **axes: Any
     ) -> None:
         if config.ascii is None:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
@@ -70,9 +64,9 @@ class AsciiTurntableEmulator:
         self._following_error = protocol.faults.following_error or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
         self.protocol = AsciiProtocol(protocol)
-        self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, **axes)
         self.faults = self.gimbals.faults
-        self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
+        self._channel = FaultyChannel(self.faults, self.gimbals.wire_noise)
         self.splitter = self.protocol.requests.splitter()
         n = len(self.gimbals.names)
         self._all = range(n)
@@ -84,7 +78,7 @@ class AsciiTurntableEmulator:
         self._server: _AsciiServer | None = None
         self._line: PtyLine | None = None
         if is_tcp(config.ascii.port or ""):
-            wire = FaultyWire(self.faults, stream(seed, "wire"))
+            wire = FaultyWire(self.faults, self.gimbals.wire_noise)
             self._server = _AsciiServer(clock, self._advance, self._answers, wire)
         else:
             self._line = PtyLine(config.ascii.baud, clock, config.ascii.adapter_latency_s)

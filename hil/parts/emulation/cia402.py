@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,11 +19,10 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort, Frame, SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.units import Units
 from hil.errors import BadInput
-from hil.maths.random_streams import stream
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
 from hil.parts.emulation.cia402_modes import DriveAxis
 from hil.parts.emulation.cia402_objects import ObjectDictionary
-from hil.parts.emulation.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
+from hil.parts.emulation.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.shared_state import SharedAxisState
@@ -130,18 +129,12 @@ class Cia402Emulator:
     """Drives of the axes on ``config.cia402.node_ids``."""
 
     def __init__(
-        self,
-        config: RotaryAxes,
-        clock: BenchClock,
-        shared: SharedAxisState,
-        chain: ReadChain | None = None,
-        seed: int = 0,
-        name: str = "turntable",
+        self, config: RotaryAxes, clock: BenchClock, shared: SharedAxisState, name: str = "turntable", **axes: Any
     ) -> None:
         if config.cia402 is None:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._clock = clock
-        self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, **axes)
         self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.ids_of(config.cia402.node_ids)):
@@ -150,7 +143,7 @@ class Cia402Emulator:
             axis = DriveAxis(self.gimbals, index, units, clock)
             self.drives.append(EmulatedCia402Drive(node_id, axis, objects))
         self.foreign_nodes = [ForeignNode(node_id) for node_id in config.cia402.emulated.foreign_nodes]
-        noise = stream(seed, "wire")
+        noise = self.gimbals.wire_noise
         self._station: Station
         if config.cia402.interface == "serial":
             self._station = SerialStation(BUS_BYTES_PER_S, config.cia402.adapter_latency_s, clock, self.faults, noise)

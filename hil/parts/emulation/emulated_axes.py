@@ -89,6 +89,8 @@ class EmulatedAxes:
         self._runaway: list[float | None] = [None] * n
         self._sigma = config.si("encoder_sigma")
         self._noise = stream(seed, "encoders", device)
+        self.wire_noise = stream(seed, "wire")
+        """Random numbers of the faults of the wire."""
         self._absolute = [axis.encoder == "absolute" for axis in axes]
         self._home = np.array([axis.si("home") for axis in axes])
         self._homing_rate = np.array([axis.si("homing_rate") for axis in axes])

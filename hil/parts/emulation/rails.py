@@ -11,8 +11,7 @@ from hil.core.clock import BenchClock
 from hil.drivers.rails.codec import DriveIdentity, RegisterMap
 from hil.drivers.rails.drive import tcp_axes
 from hil.errors import FaultKind
-from hil.maths.random_streams import stream
-from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes, ReadChain
+from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes
 from hil.parts.emulation.fault_injection import FaultyChannel, FaultyWire
 from hil.parts.emulation.modbus_server import DriveAccess, EmulatedRailDrive, ModbusServer
 from hil.parts.emulation.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
@@ -25,23 +24,17 @@ _PTY_BITS_PER_BYTE: Final = 10  # as PtyLine counts them
 
 
 class EmulatedRails:
-    """The drives, independent of the wire. seed: of all random numbers."""
+    """The drives, independent of the wire. axes: further arguments of ``EmulatedAxes``."""
 
     def __init__(
-        self,
-        config: LinearAxes,
-        clock: BenchClock,
-        shared: SharedAxisState,
-        chain: ReadChain | None = None,
-        seed: int = 0,
-        name: str = "rails",
+        self, config: LinearAxes, clock: BenchClock, shared: SharedAxisState, name: str = "rails", **axes: Any
     ) -> None:
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._identity = DriveIdentity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
-        self._axes = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
+        self._axes = EmulatedAxes(name, config, clock, shared, **axes)
         self.faults = self._axes.faults
-        self.wire_noise = stream(seed, "wire")
+        self.wire_noise = self._axes.wire_noise
         codes = self._map.code_of(FaultKind.TORQUE_OFF), max(1, config.map.following_error)
         self.drives = [EmulatedRailDrive(self._axes, index, *codes) for index in range(len(config.axes))]
 

@@ -44,6 +44,7 @@ _EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _LOG_2PI = math.log(2.0 * math.pi)
 _SHIFT_PX = 3.0
 _HOPELESS = 20.0  # of the score
+_BEHIND = 100.0  # of the score: more than outliers that are removed cost, as the floor then is larger
 _UNDETERMINED = 1e4  # m^2 or rad^2
 _USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
 _FIRST_RIGHT, _FIRST_STEREO = 9, 18
@@ -589,11 +590,12 @@ def passes(fit):
 
 
 @kernel
-def settle(scene, view, density, reach_px, clean, fit, rival):
+def settle(scene, view, density, reach_px, clean, best, fit, rival):
     """Extend ``fit`` to all spots that match within the error budget, and remove outliers if that is more likely.
 
     Spots are removed only if the score without them, of which they then no longer are a part, exceeds that with them.
-    clean: as in ``weigh``. rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if
+    clean: as in ``weigh``. best: the highest score of another hypothesis: one that is far below it is left as it is.
+    rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if
     the spots agree.
     """
     previous = np.empty((2, MAX_LEDS), np.int64)
@@ -613,6 +615,8 @@ def settle(scene, view, density, reach_px, clean, fit, rival):
         if fit.points < 3:
             fit.valid = 0
             return
+    if fit.score < best - _BEHIND:
+        return
     while fit.points > clean and fit.removed < _MOST_REMOVED and fit.misfit > chi_square_limit(2 * fit.points - 6):
         best_without(scene, view, density, fit, trial[0], rival[0])
         if rival[0].valid == 0 or not rival[0].score > fit.score:

@@ -33,8 +33,8 @@ class Frame(NamedTuple):
 
     image: (h, w), uint8. label: (h, w), int16, number of each pixel's component, all zero before and after. queue:
     (h * w,), int32, scratch. limits: LIMITS. per_level: variance of a pixel per level of light. last: SPOT of the image
-    before, whose discs are where the fits of discs begin; or none. work: (1,), products that the fits
-    may still cost.
+    before, whose discs are where the fits of discs begin; or none. work: (3,), products that the fits
+    may still cost, those that are left to the lights after the present one, and the lights that took too many.
     """
 
     image: npt.NDArray[np.uint8]

@@ -40,7 +40,7 @@ class LightFit(NamedTuple):
     last. pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel, else 1. dark: variance of a pixel
     without light. per_level: variance per level of light. model, light: (count,), image of the parameters with and
     without background. slopes: (n, count), derivatives of the model. spans: (n, 2), first pixel and the one after the
-    last whose derivative is not zero. work: (1,), products that fits may still cost.
+    last whose derivative is not zero. work: (2,), products that fits may still cost, and those that are left to others.
     """
 
     is_disc: bool
@@ -279,7 +279,7 @@ def fit(f, most):
     _fill(f, f.p)
     total = gather(f, normal, right)
     for _ in range(most):
-        if f.work[0] < 0.0:
+        if f.work[0] < f.work[1]:
             return np.nan
         if not cholesky.solve_damped(normal, damping, right, low, step, _LEAST_RESIDUE):
             damping = max(10.0 * damping, 1e-6)

@@ -48,10 +48,12 @@ def cell_of(lens, u, v):
 
 
 @kernel
-def mark_near(lens, spot, near):
-    """Set the cells next to ``spot`` in ``near`` (CELLS, CELLS)."""
-    i, j, _ = cell_of(lens, spot.u, spot.v)
-    near[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = 1
+def fill_view(lens, slack, spots, chosen, rays, near):
+    """Write ``spots`` (SPOT) with the indices ``chosen`` as SPOT_RAY; set the cells next to them in ``near``."""
+    for k in range(chosen.shape[0]):
+        fill_spot_ray(lens, slack, spots[chosen[k]], rays[k])
+        i, j, _ = cell_of(lens, rays[k].u, rays[k].v)
+        near[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = 1
 
 
 @kernel

@@ -331,6 +331,8 @@ def _fit_and_write(frame, component, p, spots, count, noise):
         if not math.isfinite(total) or p[PLANE + SIGMA] < 1.25 * sigma or p[PLANE + SIGMA] > frame.limits.largest:
             break
     if not math.isfinite(total):
+        if frame.work[0] < frame.work[1]:
+            frame.work[2] += 1.0
         return count
     snr = signal_to_noise(best)
     strong = n_points == 1 and snr > _STRONG

@@ -114,7 +114,10 @@ def add_settled(scene, view, settings, density, start, fits, state):
     for side in range(2):
         if side == 1:
             fits[fits.shape[0] - 1] = start
-        settle(scene, view, density, settings.gate_px, state[STATE_CLEAN], fit, rival)
+        best = -np.inf
+        for k in range(state[STATE_FITS]):
+            best = max(best, fits[k].score)
+        settle(scene, view, density, settings.gate_px, state[STATE_CLEAN], best, fit, rival)
         if not add_new(fits, state):
             return
         if passes(fit):

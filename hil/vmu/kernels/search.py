@@ -13,6 +13,7 @@ from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
     FIRST,
+    Frame,
     LightComponent,
     collect_hits,
     fill_background_grid,
@@ -25,6 +26,7 @@ from hil.vmu.kernels.components import (
 )
 from hil.vmu.kernels.measure import measure
 from hil.vmu.kernels.split import is_fringe, lights_of_steps, split_large
+from hil.vmu.kernels.structure import flatten
 
 TOO_MANY = -1  # more lights than the capacity
 STEPS = -2  # the background has a step: a component far larger than any light
@@ -34,6 +36,7 @@ _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
 _SMALL = 300  # pixels of a component that is soon fitted
 _MANY = 16  # components
+_SHARES, _LEAST_WORK = 8, 1e6  # a light may cost a part of the work that is left, and at least so much
 _WHOLE = 30  # of ``flood``: one block, the image
 _LIGHTS = 4  # squares of the largest light: pixels of the largest component
 
@@ -60,7 +63,7 @@ def _flood_row(frame, hits, background, components, lights, count):
             return TOO_MANY
         here = interpolate(background.level, u, v, columns, rows)
         variance = max(interpolate(background.dark, u, v, columns, rows), 1.0 / 12.0)
-        lights[count, 0], lights[count, 1] = here, variance
+        lights[count, 0], lights[count, 1], lights[count, 2] = here, variance, 0.0
         wide = max(interpolate(background.spread, u, v, columns, rows), 9.0 * variance)
         threshold[0, 0] = here + frame.limits.sigmas * math.sqrt(wide)
         end = flood(
@@ -74,7 +77,7 @@ def _flood_row(frame, hits, background, components, lights, count):
 
 @kernel
 def components_of_image(frame, components, lights):
-    """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 2).
+    """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 3).
 
     Return the number of components, TOO_MANY, or STEPS.
     """
@@ -170,7 +173,7 @@ def detect(frame, windows, steps, spots, noise):
     columns = frame.image.shape[1]
     most = noise.shape[0]
     components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
-    lights = np.empty((most, 2))
+    lights = np.empty((most, 3))
     n_components = STEPS
     if not steps and windows.shape[0] == 0:
         n_components = components_of_image(frame, components, lights)
@@ -184,8 +187,15 @@ def detect(frame, windows, steps, spots, noise):
     for k in by_priority(frame, components, lights, max(n_components, 0)):
         if is_fringe(frame.label, components, k):
             continue
+        frame.work[1] = frame.work[0] * (1.0 - 1.0 / min(max(n_components, 4), _SHARES)) - _LEAST_WORK
         component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])
-        count = measure(frame, component, spots, count, noise[k])
+        if lights[k, 2] > 0.0 and frame.work[0] > 0.0:
+            flat = np.empty_like(frame.image)
+            flatten(frame.image, components[k], component.background, flat)
+            other = Frame(flat, frame.label, frame.queue, frame.limits, frame.per_level, frame.last, frame.work)
+            count = measure(other, component, spots, count, noise[k])
+        else:
+            count = measure(frame, component, spots, count, noise[k])
     for k in range(most):
         for at in range(components[k, FIRST], components[k, END]):
             frame.label[frame.queue[at] // columns, frame.queue[at] % columns] = 0

@@ -35,6 +35,8 @@ _AROUND_PX = 12  # from a light, over which its noise is measured
 _SAMPLES = 64
 _PARTS = 6  # along each side of a box
 _MARGIN_PX = 32  # around a window
+_ABOVE = 0.3
+_STRUCTURED, _OF_SIDES = 3.0, 1.3  # variance relative to noise: from which a light is flattened, and after it
 _BEYOND_PX, _DIRECTIONS = 4.0, 12  # of the places around a light that it has to exceed
 _FRINGE, _LARGE = 12, 300  # pixels above the threshold
 _BESIDE = 3  # px
@@ -130,7 +132,7 @@ def lights_in(frame, u0, v0, u1, v1, components, lights, count):
     for length in _LENGTHS:
         if count >= 0:
             _fill_limit(frame, maxima, box, length, dark, least, limit)
-            count = _flood_large(frame, maxima, box, length, limit, components, lights, count)
+            count = _flood_large(frame, maxima, box, length, limit, dark, components, lights, count)
     for v in range(v0, v1):
         for u in range(u0, u1):
             if frame.label[v, u] < 0:
@@ -205,8 +207,8 @@ def _fill_limit(frame, maxima, box, length, dark, least, limit):
 def stands_out(frame, row):
     """Return whether a component is a peak in all directions: a piece of an edge or a cable continues along its own.
 
-    Its largest sum has to exceed, by half of what it is above its surroundings, the lower one of the sums on both sides
-    along each direction.
+    Its largest sum has to exceed, by a part of what it is above its surroundings, the lower one of the sums on both
+    sides along each direction. A light on a bright pane is above the pane by less than above the dark frame next to it.
     """
     rows, columns = frame.image.shape
     peak, u, v = -1, 0, 0
@@ -226,11 +228,11 @@ def stands_out(frame, row):
                 least = min(least, float(sum_of_nine(frame.image, j, i)))
         if least < np.inf:
             lowest, highest = min(lowest, least), max(highest, least)
-    return peak - highest > 0.5 * (peak - lowest)
+    return peak - highest > _ABOVE * (peak - lowest)
 
 
 @kernel
-def _flood_large(frame, maxima, box, length, limit, components, lights, count):
+def _flood_large(frame, maxima, box, length, limit, dark, components, lights, count):
     """Append the lights above ``limit`` in the pixels labelled LARGE, of up to a line's length."""
     rows, columns = frame.image.shape
     largest = min(float(length << _SHIFT), frame.limits.largest)
@@ -246,7 +248,9 @@ def _flood_large(frame, maxima, box, length, limit, components, lights, count):
                         continue
                     if count == components.shape[0]:
                         return -1
-                    end, taken = _flood_light(frame, v * columns + u, count, largest, limit, end, components, lights)
+                    end, taken = _flood_light(
+                        frame, v * columns + u, count, largest, limit, dark, end, components, lights
+                    )  # fmt: skip
                     count += taken
                     refused += 1 - taken
     if refused > 0:
@@ -258,7 +262,7 @@ def _flood_large(frame, maxima, box, length, limit, components, lights, count):
 
 
 @kernel
-def _flood_light(frame, start, count, largest, limit, end, components, lights):
+def _flood_light(frame, start, count, largest, limit, dark, end, components, lights):
     """Flood a component from pixel ``start``; return the new end of the queue, and 1 if it may be a light, else 0."""
     columns = frame.image.shape[1]
     row = components[count]
@@ -272,4 +276,8 @@ def _flood_light(frame, start, count, largest, limit, end, components, lights):
         frame.image, row[U0] - _AROUND_PX, row[V0] - _AROUND_PX, row[U1] + _AROUND_PX, row[V1] + _AROUND_PX,
         np.empty(_SAMPLES),
     )  # fmt: skip
+    quiet = dark + frame.per_level * lights[count, 0] / 9.0
+    lights[count, 2] = 1.0 if lights[count, 1] > _STRUCTURED * quiet else 0.0
+    if lights[count, 2] > 0.0:
+        lights[count, 1] = _OF_SIDES * quiet
     return stop, 1

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 import hil
+from docs.fault_responses import RESPONSES
 from hil.config.load import load_rig, load_scenario
-from hil.config.tables.faults import RESPONSES, TERMS
+from hil.config.tables.faults import TERMS
 from hil.errors import BadInput
 from hil.params.faults import CODES
 from hil.session.build import Job, check

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from docs import record_pages
+from docs.record_pages import markdown_table
 from hil.core import gnc_records, manipulator_records, messages
-from hil.core.fields import Field, Fields, leaf_fields, markdown_table, record_dtype
+from hil.core.fields import Field, Fields, leaf_fields, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
 from hil.parts.monitor import results
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from docs import record_pages
+from docs.c_headers import BACKEND_STRUCTS, STRUCTS, backends_header, c_header
+from docs.record_pages import markdown_table
 from hil.cli.main import execute
-from hil.core.fields import leaf_fields, markdown_table, record_dtype
+from hil.core.fields import leaf_fields, record_dtype
 from hil.core.gnc_records import (
     GNC_INPUT,
     GNC_INPUT_3,
@@ -27,22 +29,15 @@ from hil.core.gnc_records import (
 )
 from hil.frmn.mailboxes import MAILBOXES
 from hil.frmn.wire import HEADER, LARGEST
-from hil.gnc_backends.c_header import (
-    BACKEND_STRUCTS,
-    BACKENDS_HEADER_FILE,
-    HEADER_FILE,
-    STRUCTS,
-    backends_header,
-    c_header,
-)
+from hil.gnc_backends.c_header import BACKENDS_HEADER_FILE, HEADER_FILE
 from tests.support.external_gnc import PYTHON_EXAMPLE, compile_c
 
 ALL = {**STRUCTS, **BACKEND_STRUCTS}
 
 
 def test_shipped_headers_are_those_of_the_records(capsys: pytest.CaptureFixture[str]) -> None:
-    assert HEADER_FILE.read_text() == c_header(), f"{HEADER_FILE}: write the text of c_header() to it"
-    assert BACKENDS_HEADER_FILE.read_text() == backends_header(), "write the text of backends_header() to it"
+    assert HEADER_FILE.read_text() == c_header(), "python -m docs.c_headers writes it"
+    assert BACKENDS_HEADER_FILE.read_text() == backends_header(), "python -m docs.c_headers writes it"
     for options, text in (([], c_header()), (["--backends"], backends_header())):
         assert execute(["gnc", "header", *options]) == 0
         assert capsys.readouterr().out == text

@@ -255,7 +255,7 @@ def test_few_pixels_next_to_a_large_light_are_noise_of_its_edge() -> None:
 
 @pytest.mark.parametrize(("off", "dropped"), [(2, 2), (20, 1), (100, 1)])
 def test_of_many_pixels_off_the_model_only_the_worst_is_dropped(off: int, dropped: int) -> None:
-    fitted = light_fit(False, np.zeros(7), np.array([0, 0, 20, 20]), 1.0, 0.01, np.array([1e9]))
+    fitted = light_fit(False, np.zeros(7), np.array([0, 0, 20, 20]), 1.0, 0.01, np.array([1e9, 0.0, 0.0]))
     fitted.model[:], fitted.light[:], fitted.weighed[:] = 20.0, 0.0, 1.0
     fitted.pixels[:] = fitted.model
     fitted.pixels[:off] += 50.0 + np.arange(off)

@@ -9,7 +9,9 @@ import pytest
 
 from hil.vmu.detect import SpotDetector
 from hil.vmu.ghosts import LensGhosts
+from hil.vmu.kernels.components import COMPONENT_WIDTH, U0, U1, V0, V1
 from hil.vmu.kernels.records import SPOT_RAY
+from hil.vmu.kernels.structure import flatten
 from hil.vmu.unit import VisionUnit
 from tests.support.disturbance_verdicts import judge
 from tests.support.vmu_disturbances import VERY_GOOD, Row, known_geometry, real_bench, somewhere
@@ -30,6 +32,27 @@ def test_ring_before_a_background_with_steps_is_measured(name: str) -> None:
     tally = Row(name, VERY_GOOD, backgrounds(BACKDROPS[name])).run(3, 5)
     assert (tally.solved, tally.gross) == (3, 0), tally.line()
     assert np.abs(tally.ratios).max() < 4.5
+
+
+@pytest.mark.parametrize("name", ["cables", "window with bars"])
+def test_light_on_what_continues_on_both_sides_is_where_it_is(name: str) -> None:
+    """On a cable or next to a bar the background is that of both sides, not a plane."""
+    tally = Row(name, VERY_GOOD, backgrounds(BACKDROPS[name])).run(4, 21)
+    assert (tally.solved, tally.gross) == (4, 0), tally.line()
+    assert np.abs(tally.ratios).max() < 4.5
+
+
+def test_light_on_a_cable_is_flattened_to_the_level_around_it() -> None:
+    """A bar of 5 px at 30 deg, 60 levels above its surroundings, with a light of 100 levels on it."""
+    v, u = np.mgrid[0:80, 0:80] - 40.0
+    cable = 60.0 * np.clip(3.0 - np.abs(v * np.cos(0.5) - u * np.sin(0.5)), 0.0, 1.0)
+    light = 100.0 * np.exp(-0.5 * (u**2 + v**2) / 1.3**2)
+    row, flat = np.zeros(COMPONENT_WIDTH, np.int64), np.zeros((80, 80), np.uint8)
+    row[[U0, V0, U1, V1]] = 38, 38, 42, 42
+    flatten(np.rint(20.0 + cable + light).astype(np.uint8), row, 20.0, flat)
+    around = np.hypot(u, v) < 12.0
+    assert np.abs(flat - 20.0 - light)[around].mean() < 3.0  # the edges of the cable are as sharp as a pixel
+    assert np.abs(flat - 20.0 - light)[np.hypot(u, v) < 2.0].max() < 4.0
 
 
 def test_background_with_a_step_has_no_lights() -> None:
