@@ -187,10 +187,9 @@ def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Pro
     problems = []
     if (binary := scenario.value.gnc.binary) is not None:
         key = key_of(scenario.value.gnc)
-        problems.append(Problem(scenario.where(key), key, f'"{binary}": another GNC is given'))
+        problems.append(scenario.problem(key, f'"{binary}": another GNC is given'))
     for part, name in scenario.value.gnc.foreign.items():
-        key = f"gnc.{part}.backend"
-        problems.append(Problem(scenario.where(key), key, f'"{name}": another GNC is given'))
+        problems.append(scenario.problem(f"gnc.{part}.backend", f'"{name}": another GNC is given'))
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
         problems.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))

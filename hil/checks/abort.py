@@ -70,7 +70,7 @@ def check_abort(scenario: Loaded[Scenario]) -> list[Problem]:
         return []
     text = next((reason for failed in failures if (reason := _why_not(value, failed))), "")
     text = text or _why_not_isolated(value)
-    return [Problem(scenario.where(KEY), KEY, f"true: {text}")] if text else []
+    return [scenario.problem(KEY, f"true: {text}")] if text else []
 
 
 def _why_not_isolated(scenario: Scenario) -> str:
@@ -126,18 +126,20 @@ def check_transfers(scenario_file: Loaded[Scenario]) -> list[Problem]:
     transfers = [name for name in settings.sequence if settings.phases[name].kind == "transfer"]
     if not transfers:
         return []
-    key = f"gnc.guidance.phases.{transfers[0]}.kind"
     if scenario.target.motion == "tumble":
         text = '"transfer": the free motion is that of the Hill frame, allowed is another target.motion than "tumble"'
-        return [Problem(scenario_file.where(key), key, text)]
+        return [scenario_file.problem(f"gnc.guidance.phases.{transfers[0]}.kind", text)]
     params, state = gnc_params.guidance(scenario), new(GUIDANCE_STATE)
     guidance.start(params, state)
     for phase, name in enumerate(settings.sequence):
         if name in transfers:
-            key = f"gnc.guidance.phases.{name}.duration_s"
             text = _without_plan(params, state) if state.plan.n == 0 else _too_fast(scenario, params, state)
             if text:
-                return [Problem(scenario_file.where(key), key, f"{settings.phases[name].duration_s:g}: {text}")]
+                return [
+                    scenario_file.problem(
+                        f"gnc.guidance.phases.{name}.duration_s", f"{settings.phases[name].duration_s:g}: {text}"
+                    )
+                ]
         if phase < len(settings.sequence) - 1:
             end, go = float(state.ends_s), 1 if params.kind[phase] == guidance.WAIT else 0
             end = max(end, float(state.since_s)) if math.isfinite(end) else float(state.since_s)

@@ -48,12 +48,12 @@ def check_arm(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         except Unreachable as refused:
             begun = "" if sample.abort_s is None else f", in an abort begun at {sample.abort_s:.1f} s"
             text = f"{path.robot}: {refused}, at {sample.t_s:.1f} s of the plan or before{begun}"
-            return [Problem(scenario.where(sample.point_key), sample.point_key, text)]
+            return [scenario.problem(sample.point_key, text)]
         before = k
         if sample.abort_s is None:
             approach[sample.t_s] = k, joints
     worst = max(lag_costs(asked, rig.value), default=None)
-    return [] if worst is None or worst.of_allowed <= 1.0 else [Problem(rig.where(worst.key), worst.key, worst.text)]
+    return [] if worst is None or worst.of_allowed <= 1.0 else [rig.problem(worst.key, worst.text)]
 
 
 class LagCost(NamedTuple):

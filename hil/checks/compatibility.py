@@ -61,8 +61,7 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     try:
         gnc_params.allocation(scenario.value.chaser)
     except ValueError as error:
-        key = "chaser.thrusters.position_m"
-        return [Problem(scenario.where(key), key, str(error))]
+        return [scenario.problem("chaser.thrusters.position_m", str(error))]
     problems = (
         _check_sharing(scenario, rig)
         or check_modes(scenario)
@@ -87,7 +86,7 @@ def _check_sharing(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
         return []
     if value.bench.scaled_beyond_m is not None:
         key, text = "bench.scaled_beyond_m", "does not go with target_manipulator.sharing, allowed none"
-        return [Problem(scenario.where(key), key, f"{value.bench.scaled_beyond_m:g}: {text}")]
+        return [scenario.problem(key, f"{value.bench.scaled_beyond_m:g}: {text}")]
     radius_m = float(bench_params.bench_guard(rig.value, value).zone.radius)
     grown = value.model_copy(update={"keep_out": value.keep_out.model_copy(update={"radius_m": radius_m})})
     if radius_m == value.keep_out.radius_m or not check_keep_out(replace(scenario, value=grown)):
@@ -109,7 +108,7 @@ def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
         if phase.kind in ("approach", "final") and speed >= limit:
             key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
             text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
-            problems.append(Problem(scenario.where(key), key, text))
+            problems.append(scenario.problem(key, text))
     return [*problems, *_check_alert_limits(scenario)]
 
 
@@ -138,7 +137,7 @@ def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
                 f"{given:g}: the alert limit at the ready point is {limit:.4g} {unit} and must be at least "
                 f"{noise:.4g} {unit}, {_NOISE_SIGMAS:g} sigma of a pose"
             )
-            problems.append(Problem(scenario.where(key), key, text))
+            problems.append(scenario.problem(key, text))
     return problems
 
 
@@ -158,7 +157,7 @@ def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
     if distances[name] > radius_m:
         return _beyond_half_space(scenario, points)
     text = f"{radius_m:g}: must be below {distances[name]:g}, the distance of {name}, or 0 for a scenario that docks"
-    return [Problem(scenario.where(key), key, text)]
+    return [scenario.problem(key, text)]
 
 
 def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence[float]]) -> list[Problem]:
@@ -174,13 +173,13 @@ def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence
         f"{list(points[name])}: {along[name]:g} m from the target along the docking axis, allowed more than "
         f"{value.keep_out.radius_m:g} by keep_out.radius_m, or keep_out.inspects = true"
     )
-    return [Problem(scenario.where(name), name, text)]
+    return [scenario.problem(name, text)]
 
 
 def check_scenario_limits(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each protective limit of the scenario that is weaker than the kind of rig accepts."""
     exceeded = excess(scenario_limits(rig.value.has_vmu), scenario.value, rig.value.kind)
-    return [Problem(scenario.where(key), key, text) for key, text in exceeded]
+    return [scenario.problem(key, text) for key, text in exceeded]
 
 
 def check_host(rig: Loaded[Rig]) -> list[Problem]:
@@ -274,7 +273,7 @@ def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         text = (
             f"{navigation.memory_s:g}: {value.memory_steps} steps of {value.sample_s:g} s, allowed {_MEMORY_STEPS_MAX}"
         )
-        return [Problem(scenario.where(key), key, text)]
+        return [scenario.problem(key, text)]
     parts = [f"vmu.latency_s {vmu.latency_s:g}", f"vmu.latency_jitter_s {vmu.latency_jitter_s:g}"]
     oldest_s = vmu.latency_s + vmu.latency_jitter_s + 2.0 * value.step_s
     if rig.value.vmu.has_wires:
@@ -282,7 +281,7 @@ def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         oldest_s += rig.value.vmu.processing_s
     if oldest_s > navigation.memory_s:
         text = f"{navigation.memory_s:g}: allowed from {oldest_s:g}, the age of the latest poses ({', '.join(parts)})"
-        return [Problem(scenario.where(key), key, text)]
+        return [scenario.problem(key, text)]
     return []
 
 
@@ -295,9 +294,8 @@ def check_budget(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     for name in ("camera_position_m", "led_ring_position_m"):
         assumed, mounted = getattr(budget, name), getattr(bench, name)
         if assumed != mounted:
-            key = f"gnc.navigation.budget.{name}"
             text = f"{list(assumed)}: must be bench.{name} of the rig, {list(mounted)}"
-            problems.append(Problem(scenario.where(key), key, text))
+            problems.append(scenario.problem(f"gnc.navigation.budget.{name}", text))
     return problems
 
 
@@ -324,7 +322,7 @@ def check_ports(rig: Loaded[Rig]) -> list[Problem]:
 
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
     return [
-        Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")
+        rig.problem(wire.key, f"{wire.address}: no such port, this computer has {present}")
         for wire in rig.value.wires()
         if wire.kind == "serial" and (wire.address or "").startswith("/") and not Path(str(wire.address)).exists()
     ]
@@ -338,7 +336,7 @@ def check_flight_computer(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[
     text = f'another GNC is given: rig.flight_computer.command_words = "{computer.command_words}"'
     keys = {f"gnc.{part}.backend": name for part, name in scenario.value.gnc.foreign.items()}
     if keys:
-        return [Problem(scenario.where(key), key, f'"{name}": {text}') for key, name in keys.items()]
+        return [scenario.problem(key, f'"{name}": {text}') for key, name in keys.items()]
     if rig.value.kind == "mock":
         key = "flight_computer.command_words"
         text = f'"{computer.command_words}": a mock rig does not run in real time, as a flight computer requires'
@@ -354,7 +352,7 @@ def check_monitor(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         return []
     if monitor.source == "model" and rig.value.kind == "hardware":
         text = '"model": would vouch for a bench that it does not see; on hardware "none" or "rendered"'
-        return [Problem(scenario.where("monitor.source"), "monitor.source", text)]
+        return [scenario.problem("monitor.source", text)]
     try:
         scene = load_scene(monitor.scene).value
     except BadInput as error:
@@ -363,7 +361,7 @@ def check_monitor(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         return problems
     if monitor.target == "backup" and scene.backup is None:
         text = f'"backup": scene {monitor.scene} has the basic target alone'
-        return [Problem(scenario.where("monitor.target"), "monitor.target", text)]
+        return [scenario.problem("monitor.target", text)]
     return []
 
 

@@ -76,7 +76,7 @@ def check_length(scenario: Loaded[Scenario], length_s: float) -> list[Problem]:
     if degree < 2 or length_s <= (allowed_s := longest_run_s(dynamics_params.known_orbit(scenario.value))):
         return []
     text = f"{degree}: the ephemeris reaches to {allowed_s:.0f} s, the run to {length_s:.0f} s, allowed 0"
-    return [Problem(scenario.where(key), key, text)]
+    return [scenario.problem(key, text)]
 
 
 def ephemeris_limit(scenario: Scenario, rig: Rig, length_s: float, seed: int | None) -> EphemerisLimit | None:

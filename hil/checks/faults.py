@@ -27,11 +27,11 @@ def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     for family, count in tables.items():
         if count > MAX_FAULTS:
             text = f"{count} of {family}: at most {MAX_FAULTS} are allowed"
-            problems.append(Problem(scenario.where(KEY), KEY, text))
+            problems.append(scenario.problem(KEY, text))
     longest_s, delay_s = DELAY_STEPS_MAX * scenario.value.sample_s, scenario.value.chaser.thrusters.errors.delay_s
     if delay_s > longest_s:
         text = f"{delay_s:g}: at most {DELAY_STEPS_MAX} steps of the truth are kept, {longest_s:g} s"
-        problems.append(Problem(scenario.where(DELAY_KEY), DELAY_KEY, text))
+        problems.append(scenario.problem(DELAY_KEY, text))
     return problems
 
 
@@ -59,7 +59,7 @@ def unfused_sensors(scenario: Loaded[Scenario], gnc: str) -> list[Problem]:
     """Return a problem for each sensor to be fused by a GNC that receives none. gnc: its name."""
     text = f"not available: {gnc} receives no measurements of further sensors"
     return [
-        Problem(scenario.where(f"sensors.{name}"), f"sensors.{name}", text)
+        scenario.problem(f"sensors.{name}", text)
         for name, config in scenario.value.sensors.items()
         if config.use == "fusion"
     ]
@@ -70,7 +70,7 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
     value, problems = scenario.value, []
 
     def problem(key: str, text: str) -> None:
-        problems.append(Problem(scenario.where(f"sensors.{key}"), f"sensors.{key}", text))
+        problems.append(scenario.problem(f"sensors.{key}", text))
 
     modules = sensors_of(value)
     if (words := rig.value.flight_computer.command_words) != "none":

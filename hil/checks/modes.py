@@ -67,4 +67,4 @@ def check_modes(scenario: Loaded[Scenario]) -> list[Problem]:
                 f"{each.swing:.2g} {each.unit} and {each.rate:.2g} {each.unit}/s, allowed {each.allowed:.2g} and "
                 f"{each.rate_allowed:.2g}"
             )
-    return [Problem(scenario.where(f"gnc.modes.{name}"), f"gnc.modes.{name}", text) for name, text in texts.items()]
+    return [scenario.problem(f"gnc.modes.{name}", text) for name, text in texts.items()]

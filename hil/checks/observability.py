@@ -115,11 +115,10 @@ def check_observability(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Pr
         return []
     if scenario.value.vmu.source != "model":
         text = f'"{scenario.value.vmu.source}": rig "{rig.value.name}" has no vision unit, vmu.driver = "none"'
-        return [Problem(scenario.where("vmu.source"), "vmu.source", text)]
+        return [scenario.problem("vmu.source", text)]
     if scenario.value.gnc.navigation.handover is None and scenario.value.gnc.binary is None:
-        key = "gnc.navigation.handover"
         text = f'is missing: rig "{rig.value.name}" has no vision unit, whose first pose would start the filters'
-        return [Problem(scenario.where(key), key, text)]
+        return [scenario.problem("gnc.navigation.handover", text)]
     unseen = [state for state in state_sigmas(scenario.value) if not state.is_observed]
     if not unseen:
         return []

@@ -288,7 +288,7 @@ class _Findings:
         return ""
 
     def _say(self, key: str, text: str) -> None:
-        self.problems.append(Problem(self._scenario.where(key), key, text))
+        self.problems.append(self._scenario.problem(key, text))
 
 
 def _unit(axis: int) -> tuple[str, float, int]:

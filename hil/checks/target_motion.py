@@ -43,7 +43,7 @@ def check_target_motion(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) 
     plan = planned(scenario)
     text = _beyond_rig(scenario, rig_file.value, plan, rates) or _beyond_thrusters(scenario, plan, rates, changes)
     shown = list(scenario.target.rate_degps)
-    return [Problem(scenario_file.where(_KEY), _KEY, f"{shown}: {text}")] if text else []
+    return [scenario_file.problem(_KEY, f"{shown}: {text}")] if text else []
 
 
 def tumble_over(scenario: Scenario) -> tuple[Array, Array]:

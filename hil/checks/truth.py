@@ -55,7 +55,7 @@ def _check_plane(scenario: Loaded[Scenario]) -> list[Problem]:
     if value.truth.relative_motion != "free":
         held_mps2 = 2.0 * dynamics_params.mean_motion(value.orbit) * speed_mps
         why = f": another plane would hold back up to {held_mps2:.2g} m/s2, 2 w v at {speed_mps:g} m/s"
-    return [Problem(scenario.where(key), key, f"{text} {which}{why}") for key, which in wrong.items()]
+    return [scenario.problem(key, f"{text} {which}{why}") for key, which in wrong.items()]
 
 
 def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
@@ -64,21 +64,18 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
     axis_m = dynamics_params.semi_major_axis_m(orbit)
     lowest_m = axis_m * (1.0 - orbit.eccentricity) - body.radius_m
     if lowest_m <= 0.0:
-        key = "orbit.eccentricity"
         allowed = 1.0 - body.radius_m / axis_m
         text = (
             f"{orbit.eccentricity:g}: the periapsis lies {-lowest_m / 1e3:.1f} km inside {body.name}, "
             f"at altitude_m {orbit.altitude_m:g} allowed below {allowed:.4f}"
         )
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("orbit.eccentricity", text))
     elif lowest_m < (least_m := _LOWEST_FRACTION * body.radius_m):
-        key = "orbit.altitude_m"
         text = f"{orbit.altitude_m:g}: periapsis {lowest_m:.0f} m above {body.name}, allowed from {least_m:.0f} on"
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("orbit.altitude_m", text))
     if scenario.value.truth.relative_motion == "hill" and orbit.eccentricity != 0.0:
-        key = "truth.relative_motion"
         text = f'"hill": requires a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed "nonlinear"'
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("truth.relative_motion", text))
     return [*problems, *_check_ephemeris(scenario, body)]
 
 
@@ -86,20 +83,17 @@ def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Prob
     orbit, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= orbit.eccentricity <= 0.7:
-        key = "gnc.ephemeris.eccentricity_error"
         text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to 0.7"
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("gnc.ephemeris.eccentricity_error", text))
     if errors.gravity_degree and not scenario.value.truth_orbits:
-        key = "gnc.ephemeris.gravity_degree"
         text = (
             f"{errors.gravity_degree}: harmonics move a target with "
             'truth.relative_motion = "nonlinear" and target.motion = "aligned", otherwise allowed 0'
         )
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("gnc.ephemeris.gravity_degree", text))
     if orbit.altitude_m <= 0.0:
-        key = "gnc.ephemeris.semi_major_axis_error_m"
         text = f"{errors.semi_major_axis_error_m:g}: the GNC would have an orbit inside {body.name}"
-        problems.append(Problem(scenario.where(key), key, text))
+        problems.append(scenario.problem("gnc.ephemeris.semi_major_axis_error_m", text))
     return problems
 
 
@@ -111,18 +105,13 @@ def _check_gravity(scenario: Loaded[Scenario], body: CentralBody) -> list[Proble
         if truth.gravity_file is None:
             where = dynamics_params.body_file(scenario.value.orbit)
             return [Problem(where, "gravity_file", f"{body.gravity_file}: {error}")]
-        key = "truth.gravity_file"
-        return [Problem(scenario.where(key), key, f"{truth.gravity_file}: {error}")]
+        return [scenario.problem("truth.gravity_file", f"{truth.gravity_file}: {error}")]
     degrees = {
         "truth.gravity_degree": truth.gravity_degree,
         "gnc.ephemeris.gravity_degree": scenario.value.gnc.ephemeris.gravity_degree,
     }
     text = f"too high for {truth.gravity_file or f'the field of {body.name}'}, allowed 0 to {field.degree}"
-    return [
-        Problem(scenario.where(key), key, f"{degree}: {text}")
-        for key, degree in degrees.items()
-        if degree > field.degree
-    ]
+    return [scenario.problem(key, f"{degree}: {text}") for key, degree in degrees.items() if degree > field.degree]
 
 
 def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
@@ -136,10 +125,10 @@ def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[
             continue
         key = f"truth.{name}"
         if not given:
-            problems.append(Problem(scenario.where(key), key, f"true: the file of {body.name} has no {table}"))
+            problems.append(scenario.problem(key, f"true: the file of {body.name} has no {table}"))
         elif truth.relative_motion != "nonlinear":
             text = f'true: does not act on truth.relative_motion = "{truth.relative_motion}", allowed "nonlinear"'
-            problems.append(Problem(scenario.where(key), key, text))
+            problems.append(scenario.problem(key, text))
     return problems
 
 
@@ -147,7 +136,7 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     chaser, truth = scenario.value.chaser, scenario.value.truth
     if chaser.solar_array is None:
         return [
-            Problem(scenario.where(f"truth.{name}"), f"truth.{name}", "true: needs the table chaser.solar_array")
+            scenario.problem(f"truth.{name}", "true: needs the table chaser.solar_array")
             for name in ("solar_pressure", "flexible_array")
             if getattr(truth, name)
         ]
@@ -157,12 +146,11 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     )
     smallest = linear.eigenvalues(chaser.inertia_kg_m2 - linear.product(turning.T, turning))[0]
     if smallest <= 0.0:
-        key = "chaser.solar_array.mode_coupling"
         text = (
             f"{_shown(turning)}: the array would have more inertia than the vehicle: inertia_kg_m2 minus the square "
             f"of the coupling must be positive definite, its smallest moment is {smallest:.4g} kg m^2"
         )
-        return [Problem(scenario.where(key), key, text)]
+        return [scenario.problem("chaser.solar_array.mode_coupling", text)]
     if not moving.any():
         return []
     both = np.hstack([moving, turning])
@@ -171,12 +159,11 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     smallest = linear.eigenvalues(hub - linear.product(both.T, both))[0]
     if smallest > 0.0:
         return []
-    key = "chaser.solar_array.mode_translation_coupling"
     text = (
         f"{_shown(moving)}: the array would be heavier than the vehicle: mass and inertia minus the squares of the "
         f"couplings must be positive definite, smallest eigenvalue {smallest:.4g}"
     )
-    return [Problem(scenario.where(key), key, text)]
+    return [scenario.problem("chaser.solar_array.mode_translation_coupling", text)]
 
 
 def _shown(couplings: Array) -> list[float] | list[list[float]]:
@@ -194,9 +181,8 @@ def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:
     smallest = linear.eigenvalues(chaser.inertia_kg_m2 - most_kg * np.diag(square(gyration)))[0]
     if smallest > 0.0:
         return []
-    key = "chaser.propellant_gyration_m"
     text = (
         f"{gyration.tolist()}: without the {most_kg:.4g} kg that all thrusters use in {scenario.value.duration_s:g} s "
         f"inertia_kg_m2 would have a moment of {smallest:.4g} kg m^2, every principal moment must be above 0"
     )
-    return [Problem(scenario.where(key), key, text)]
+    return [scenario.problem("chaser.propellant_gyration_m", text)]

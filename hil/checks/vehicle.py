@@ -162,7 +162,7 @@ def check_vehicle(scenario_file: Loaded[Scenario]) -> list[Problem]:
         f"phase {worst.phase} takes {worst.needed_mps2:.3g} m/s2 along {'xyz'[worst.axis]}, chaser.thrusters give "
         f"{worst.given_mps2:.3g}: {reason}"
     )
-    return [Problem(scenario_file.where(worst.key), worst.key, text)]
+    return [scenario_file.problem(worst.key, text)]
 
 
 def _why_not(scenario: Scenario) -> str:

@@ -44,7 +44,9 @@ def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
 def _open_volume(rig: Rig, scenario: Scenario) -> Iterator[Waiver]:
     """Yield what the guard volume lacks, on every kind of rig."""
     keep_out = scenario.keep_out
-    if not rig.bench.bodies and rig.floating is None:
+    if (
+        not rig.bench.bodies and rig.floating is None and rig.shared_rails is None
+    ):  # those of the keep-out are monitored
         yield Waiver(
             "rig.bench.bodies",
             "none",

@@ -93,6 +93,10 @@ class Loaded(Generic[Model]):
             key = key.rpartition(".")[0]
         return self.origin.get(key, self.source)
 
+    def problem(self, key: str, message: str) -> Problem:
+        """Return a problem of ``key`` in the file or option that set it."""
+        return Problem(self.where(key), key, message)
+
 
 def load_scenario(name: str, settings: Iterable[str] = ()) -> Loaded[Scenario]:
     """Return the scenario ``name`` (shipped, or a path) with ``settings`` applied; raise BadInput."""

@@ -514,7 +514,7 @@ class Reactions(ConfigModel):
     sensor_suspect: PhaseReactions = _CONTINUE
     """A further sensor contradicts the others and is excluded."""
     cause_unknown: PhaseReactions | None = None
-    """Innovations contradict their covariance, and not for the vision unit alone; unless set, as `vision_suspect`."""
+    """Innovations or the IMU are inconsistent, and no device stands out; unless set, as `vision_suspect`."""
     unprotected: PhaseReactions = PhaseReactions()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
     hold_max_s: Positive = 60.0

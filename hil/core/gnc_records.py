@@ -103,7 +103,7 @@ class GncHealth(IntFlag):
     COVARIANCE_INVALID = 32, "a covariance of the filters is not finite or not positive definite"
     BENCH_DISAGREES = 64, "the bench's encoders contradict the estimate"
     SENSOR_SUSPECT = 128, "a further sensor contradicts the others and is excluded"
-    CAUSE_UNKNOWN = 256, "innovations are not those of their covariance, and not for the vision unit alone"
+    CAUSE_UNKNOWN = 256, "innovations or the IMU are inconsistent, and no device stands out as the cause"
 
 
 GNC_ORBIT_FIELDS: Final = (

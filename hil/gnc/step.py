@@ -20,6 +20,7 @@ from hil.gnc.backend_step import BACKENDS
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
 from hil.gnc.docking_go import GO_CHECK
 from hil.gnc.estimation import body_frame, navigation, target_motion
+from hil.gnc.estimation.hypotheses import NAMED, READINGS
 from hil.gnc.estimation.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
@@ -128,7 +129,8 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     if backends.navigation.step == 0:
         navigation.write_go(state.navigation, approach.go)
         if estimate.health & CAUSE_UNKNOWN != 0:
-            approach.reactions.hypothesis = state.navigation.integrity.cause
+            cause = state.navigation.integrity.cause
+            approach.reactions.hypothesis = cause if cause > NAMED else READINGS
             approach.reactions.half_swing_s = state.navigation.fusion.thrust.swing.half_s
         approach.reactions.from_future = state.navigation.fusion.from_future
         copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)

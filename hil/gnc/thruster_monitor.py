@@ -17,6 +17,7 @@ Every accusation is tested after its reaction, and revoked if readings and comma
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -24,11 +25,14 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
+from hil.gnc import evidence
+from hil.gnc.evidence import EVIDENCE_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.valves import step_valves
 
 IMU_SUSPECT, THRUSTER_FAULT = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
+CAUSE_UNKNOWN = GncHealth.CAUSE_UNKNOWN.value
 NO_FAULT, STUCK_OPEN, DEAD = range(3)
 
 _RESIDUAL_MIN = 0.3  # fraction of a thruster's force or torque: below it there is no fault
@@ -121,6 +125,10 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("axis_measured", "f8", 3),
         ("axis_firings", "i8"),  # from which ``axis_pulse_s`` is measured
         ("axis_pulse_s", "f8"),  # as ``pulse_s``
+        ("evidence", EVIDENCE_STATE),
+        ("since_odd", "i8"),  # cycles since a residual that nothing explains
+        ("jump", "f8"),  # rad/s, of the gyros' drift, for the filters; 0 for none
+        ("unnamed", "i8"),  # 1: in this cycle a device would be accused if the evidence named it
     ],
     align=True,
 )
@@ -173,6 +181,8 @@ def _judge(params, state, residual, thrust):
     is_quiet = _square_of(residual) < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust)
     if is_quiet and state.counts == 0:
         state.unexplained = 0
+        state.since_odd += 1
+        evidence.keep(state.evidence, residual, thrust, params.n, False)
         return
     explained = stack.vector(MAX_THRUSTERS)
     state.counts = 0
@@ -185,8 +195,10 @@ def _judge(params, state, residual, thrust):
         opens, fails = opens or explained[j] > 0.0, fails or explained[j] < 0.0
     # thrust that is late, or rises and falls slowly, leaves nothing in the mean
     lasts = _square_of(state.mean_residual) > _RESIDUAL_MIN**2
-    is_odd = lasts and not (is_quiet or opens or fails)
-    state.unexplained = state.unexplained + 1 if is_odd else max(0, state.unexplained - 1)
+    is_odd = not (is_quiet or opens or fails)
+    evidence.keep(state.evidence, residual, thrust, params.n, is_odd)
+    _note_jump(params, state, residual, is_odd)
+    state.unexplained = state.unexplained + 1 if lasts and is_odd else max(0, state.unexplained - 1)
     for j in range(params.n):
         if explained[j] > 0.0:
             state.open_count[j] += 1
@@ -204,11 +216,37 @@ def _judge(params, state, residual, thrust):
             state.counts = 1
     for j in range(params.n):
         if state.open_count[j] >= params.open_cycles and _CLEAR * state.clear_count[j] >= params.open_cycles:
-            state.fault, state.thruster = STUCK_OPEN, j
+            _accuse_thruster(params, state, STUCK_OPEN, j)
         elif state.dead_count[j] >= params.dead_cycles and not suspects:
-            state.fault, state.thruster = DEAD, j
+            _accuse_thruster(params, state, DEAD, j)
         elif state.dead_count[j] >= params.dead_cycles and state.withheld_cycles == 0:
             state.withheld, state.withheld_cycles = j, _WITHHELD
+    if state.unexplained >= params.imu_cycles:
+        state.unnamed = 1
+        if evidence.names_imu(state.evidence):
+            _accuse_imu(state, params.imu_cycles)
+
+
+@kernel
+def _note_jump(params, state, residual, odd):
+    """Take an ``odd`` change of the rate alone, after a time without any, as one of the gyros' drift.
+
+    Soon after a firing it has to be larger than that of several thrusters, which may be late.
+    """
+    if odd and state.since_odd >= params.imu_cycles:
+        force = residual[0] ** 2 + residual[1] ** 2 + residual[2] ** 2
+        change = math.sqrt(_square_of(residual) - force)
+        if force < _RESIDUAL_MIN**2 and (state.open_cycles > params.settle_cycles or change > _IMPOSSIBLE):
+            state.jump = change * params.torque_unit * params.dt_s
+    state.since_odd = 0 if odd else state.since_odd + 1
+
+
+@kernel
+def _accuse_thruster(params, state, fault, thruster):
+    """Accuse a thruster of ``fault`` if the evidence names it."""
+    state.unnamed = 1
+    if evidence.names_thruster(state.evidence, params.signature[thruster], thruster, fault == STUCK_OPEN):
+        state.fault, state.thruster = fault, thruster
 
 
 @kernel
@@ -268,6 +306,7 @@ def _accuse_imu(state, cycles):
     """Accuse the IMU, whose readings may have been wrong for so many cycles."""
     if state.imu_suspect == 0:
         state.imu_suspect, state.imu_since, state.sound = 1, cycles, 0
+        evidence.forget(state.evidence)
 
 
 @kernel
@@ -537,6 +576,7 @@ def watch(params, state, samples, on, bias, isolated, estimate):
         for k in range(samples.shape[0]):
             rate[i] += weight * samples[k].rate_C[i]
             force[i] += weight * samples[k].force_C[i]
+    state.unnamed = 0
     step_valves(on[: params.n], state.open_s, params.minimum_on_s, params.dt_s, thrust)
     if state.withheld_cycles > 0:
         state.withheld_cycles -= 1
@@ -568,8 +608,6 @@ def watch(params, state, samples, on, bias, isolated, estimate):
             _learn_arm(params, state, measured, residual)
     if state.repeats >= _REPEATS_MAX:
         _accuse_imu(state, _REPEATS_MAX + 1)
-    elif state.unexplained >= params.imu_cycles:
-        _accuse_imu(state, params.imu_cycles)
     copy_into(state.rate, rate)
     copy_into(state.force, force)
     state.calls += 1
@@ -577,6 +615,8 @@ def watch(params, state, samples, on, bias, isolated, estimate):
         estimate.health |= IMU_SUSPECT
     if state.fault != NO_FAULT:
         estimate.health |= THRUSTER_FAULT
+    if state.unnamed != 0 and state.imu_suspect == 0 and state.fault == NO_FAULT:
+        estimate.health |= CAUSE_UNKNOWN
 
 
 @kernel
@@ -584,5 +624,6 @@ def pause(state):
     """Take note that the next samples do not follow the last ones."""
     state.calls = 1
     state.repeats = state.unexplained = 0
+    evidence.forget(state.evidence)
     fill(state.open_count, 0)
     fill(state.clear_count, 0)

@@ -29,13 +29,15 @@ ABORT_CAUSES = (
     "a hold lasted too long",
     "the encoders contradict the estimate",
     "a further sensor is suspect",
-    "the innovations are inconsistent, their cause is not known",
+    "the measurements are inconsistent, their cause is not known",
 )
 _HYPOTHESES = {
     hypotheses.SWING: "the chaser swings at {:.2g} Hz without thrust, a flexible mode or slosh beyond gnc.modes",
     hypotheses.DISTURBANCE: "the force without thrust has changed, a leak or another disturbance",
     hypotheses.SCALE: "the accelerometer reads other than the commanded thrust, a scale, the mass or the thrust",
     hypotheses.ATTITUDE: "those of the attitude alone, the ephemeris, the gyros or the vision unit",
+    hypotheses.COMMANDS: "the commanded thrust, which replaces an IMU that is suspect, or the vision unit",
+    hypotheses.READINGS: "the IMU reads what no thruster gives, a flexible mode or slosh, or a device that has failed",
 }
 _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"

@@ -102,9 +102,9 @@ def _settings_of(
         if name not in declared:
             names = ", ".join(declared) or "none"
             hint = did_you_mean(name, declared)
-            problems.append(Problem(scenario.where(key), key, f"unknown key: {hint}known here: {names}"))
+            problems.append(scenario.problem(key, f"unknown key: {hint}known here: {names}"))
         elif text := declared[name].problem(value):
-            problems.append(Problem(scenario.where(key), key, text))
+            problems.append(scenario.problem(key, text))
     return {name: given.get(name, setting.default) for name, setting in declared.items()}, problems
 
 

@@ -95,7 +95,7 @@ def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
         tables[name] = config.model_dump(mode="json", exclude_none=True) | values
     if states > ERROR_STATES_MAX:
         text = f"{states} errors with a sigma above 0, at most {ERROR_STATES_MAX} are states of the filters"
-        problems.append(Problem(scenario.where("sensors"), "sensors", text))
+        problems.append(scenario.problem("sensors", text))
     if problems:
         raise BadInput(problems)
     table = scenario.value.model_dump(mode="json", exclude_none=True)

@@ -19,9 +19,9 @@ from hil.loop.outcome import Outcome
 from hil.loop.session_parts import SessionParts
 from hil.parts.links.gnc_server import GncServer, gnc_side, wants_of
 from hil.parts.links.link import Link
-from hil.parts.links.setup import make_udp_gnc, mirror_to
+from hil.parts.links.mirror import mirror_to
 from hil.parts.links.udp import LOOPBACK, Address
-from hil.parts.links.udp_gnc import UdpGnc, gnc_link
+from hil.parts.links.udp_gnc import UdpGnc, gnc_link, make_udp_gnc
 from hil.session import build
 from hil.session.warm_up import warm_up
 

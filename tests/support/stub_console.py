@@ -72,13 +72,11 @@ class StubSession:
         status["mode"], status["homing"] = MODES.index(self.mode), Homing.DONE
         return self._number, status
 
-    def read_rows(self) -> np.ndarray:
+    def read_rows(self, ring: str = "telemetry") -> np.ndarray:
         return np.empty(0, CYCLE)
 
     def read_pictures(self) -> list[np.ndarray]:
         return []
-
-    read_portions = read_pictures
 
     def read_recording(self) -> None:
         return None

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
-from hil.gnc.estimation.integrity import CAUSE_UNKNOWN, VISION_SUSPECT
+from hil.gnc.estimation.integrity import CAUSE_UNKNOWN, VISION_LOST, VISION_SUSPECT
 
-NONE, NAMED, SWING, DISTURBANCE, SCALE, ATTITUDE = range(6)
-"""Hypothesis of an inconsistency: none seen, the vision unit, or what explains it as well."""
+NONE, NAMED, SWING, DISTURBANCE, SCALE, ATTITUDE, READINGS, COMMANDS = range(8)
+"""Hypothesis of an inconsistency: none seen, the vision unit, or what explains it as well. READINGS: the IMU and the
+commands contradict each other, and the evidence names no device. COMMANDS: they replace the IMU."""
 _RECENT_S = 60.0  # after which a swing or a change of the disturbance explains nothing any more
 _EXCESS_MPS = 1e-3  # from which on accelerometer and commands differ
 _ALONG = 0.8  # cosine of the angle between this difference and the corrections of the velocity
@@ -35,6 +36,8 @@ def _is_along(excess, corrected):
 def _explains(state, fusion, dt_s):
     """Return the hypothesis that explains an inconsistency as well as the vision unit, otherwise ``NAMED``."""
     thrust, turns, moves = fusion.thrust, 0.0, 0.0
+    if thrust.without_imu == 1:
+        return COMMANDS
     if thrust.swing.until > 0 and (fusion.cycle - thrust.swing.until) * dt_s < _RECENT_S:
         return SWING
     if thrust.jumped > 0 and (fusion.cycle - thrust.jumped) * dt_s < _RECENT_S:
@@ -61,4 +64,7 @@ def name_cause(state, fusion, dt_s, health):
         return health
     if state.cause == NONE:
         state.cause = _explains(state, fusion, dt_s)
-    return health if state.cause == NAMED else (health & ~VISION_SUSPECT) | CAUSE_UNKNOWN
+    if state.cause == NAMED:
+        return health
+    rejected = VISION_LOST if fusion.rejected_in_a_row > 0 else 0  # the poses, not the unit, are lost
+    return (health & ~(VISION_SUSPECT | rejected)) | CAUSE_UNKNOWN

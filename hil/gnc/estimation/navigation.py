@@ -74,6 +74,7 @@ def write_go(state, go):
 def use_imu(params, state, memory, monitor, samples):
     """Let the commands replace an IMU that is suspect, from its first wrong readings on, and the IMU them afterwards.
 
+    A jump of the gyros may be one of their drift, which is estimated again.
     monitor: THRUSTER_MONITOR_STATE. samples: of the IMU in a cycle.
     """
     thrust = state.fusion.thrust
@@ -81,6 +82,9 @@ def use_imu(params, state, memory, monitor, samples):
         fusion.replace_imu(params.fusion, state.fusion, memory, monitor.imu_since * samples)
     elif monitor.imu_suspect == 0 and thrust.without_imu == 1 and params.sensors == VISION_AND_IMU:
         thrust.without_imu = REGAINED
+    if monitor.jump > 0.0 and thrust.without_imu != 1:
+        state.fusion.doubts.acts, state.fusion.doubts.drift = 1, monitor.jump
+        monitor.jump = 0.0
 
 
 @entry

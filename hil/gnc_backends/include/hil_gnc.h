@@ -49,7 +49,7 @@ enum hil_gnc_health {
     HIL_GNC_COVARIANCE_INVALID = 32, /* a covariance of the filters is not finite or not positive definite */
     HIL_GNC_BENCH_DISAGREES = 64, /* the bench's encoders contradict the estimate */
     HIL_GNC_SENSOR_SUSPECT = 128, /* a further sensor contradicts the others and is excluded */
-    HIL_GNC_CAUSE_UNKNOWN = 256, /* innovations are not those of their covariance, and not for the vision unit alone */
+    HIL_GNC_CAUSE_UNKNOWN = 256, /* innovations or the IMU are inconsistent, and no device stands out as the cause */
 };
 
 typedef struct {

@@ -115,10 +115,10 @@ class CampaignJob:
             problems.append(Problem("--rig", rig.name, f'kind "{rig.kind}": campaigns run in memory, allowed "mock"'))
         if self.scenario.value.vmu.source != "model":
             text = f'"{self.scenario.value.vmu.source}": campaigns use the model of the vision unit, allowed "model"'
-            problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))
+            problems.append(self.scenario.problem("vmu.source", text))
         for name, part in self.scenario.value.models.items():
             text = f'"{part.fmu}": campaigns run the built-in model: fly a part of the plant in an FMU by hil run'
-            problems.append(Problem(self.scenario.where(f"{name}.fmu"), f"{name}.fmu", text))
+            problems.append(self.scenario.problem(f"{name}.fmu", text))
         for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES)):
             for name in names:
                 if getattr(getattr(rig, device), name).encoder == "incremental":

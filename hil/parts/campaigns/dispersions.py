@@ -249,9 +249,7 @@ def _leaves(
         if not isinstance(table, dict) or key not in table:
             keys = sorted(table) if isinstance(table, dict) else []
             hint, name = did_you_mean(key, keys), f"dispersions.{'.'.join(here)}"
-            problems.append(
-                Problem(scenario.where(name), name, f"unknown key: {hint}known here: {', '.join(keys) or 'none'}")
-            )
+            problems.append(scenario.problem(name, f"unknown key: {hint}known here: {', '.join(keys) or 'none'}"))
         elif isinstance(table[key], dict) and isinstance(inner, dict):
             yield from _leaves(inner, table[key], here, scenario, problems)
         else:

@@ -15,7 +15,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.core.surroundings import prepare_worker_processes
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 from hil.gnc.estimation.fusion import FUSION_STATE
 from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
@@ -91,7 +91,7 @@ def _scenario(settings: tuple[str, ...]) -> Scenario:
     """Return scheme 2 with ``settings``. Raises BadInput, also for a sensor that the study cannot fuse."""
     scenario = with_sensor_settings(load_scenario("scheme-2", settings))
     problems = [
-        Problem(scenario.where(f"sensors.{name}"), f"sensors.{name}", f"not available: hil fusion has no {what}")
+        scenario.problem(f"sensors.{name}", f"not available: hil fusion has no {what}")
         for name, (_, config, models) in sensors_of(scenario.value).items()
         for what, is_one in (("witnesses", config.use == "witness"), ("datagrams, only modelled sensors", not models))
         if is_one

@@ -9,6 +9,8 @@ import numpy as np
 
 from hil.frmn.mailboxes import HEALTH
 from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.loop.runner import Runner
+from hil.loop.session_parts import SessionParts
 from hil.parts.links.link import Link
 
 _OF_THE_CYCLE: Final = ("truth", "imu", "pose", "command", "setpoint", "feedback")
@@ -53,3 +55,18 @@ class Mirror:
             t_s, late_s = row["t_s"][0], row["lateness_s"][0]
             self._health[0] = (self._cycle, t_s, self._mode().encode(), late_s, self._overruns())
             self._link.send("health", self._health)
+
+
+def mirror_to(link: Link, parts: SessionParts, cycles: int = 1) -> None:
+    """Let the session of ``parts`` send the other side of ``link`` the mailboxes that it requests.
+
+    cycles: per row that is sent.
+    """
+    mirror = Mirror(link, cycles)
+    parts.layers.append(mirror.over)
+
+    def begin(runner: Runner) -> None:
+        modes, rate = runner.safety.modes, runner.rate
+        mirror.begin(lambda: modes.mode.value, lambda: rate.overruns)
+
+    parts.on_built.append(begin)

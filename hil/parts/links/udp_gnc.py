@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.scenario import Scenario
 from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, Event, new
@@ -25,11 +26,13 @@ from hil.gnc.estimation import navigation
 from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import NO_POSES, BackendSetup, ExternalGnc
+from hil.params import gnc as gnc_params
 from hil.parts.links import udp_records
 from hil.parts.links.link import Link
 from hil.parts.links.mirror import MIRRORED
 from hil.parts.links.udp import Address, shown
 from hil.parts.links.udp_receiver import KEPT_CYCLES, CycleBuffer, LinkStats, ReceiveBuffers, ReplyReceiver
+from hil.session.gnc_setup import backend_setup
 
 NAME: Final = "gnc"
 _OFFERS: Final = ("gnc.setup", "gnc.input", "imu.samples", *MIRRORED)
@@ -279,3 +282,9 @@ class UdpGnc(ExternalGnc):
 
     def _log_complaint(self, complaint: str) -> None:
         self.messages.append(Event(max(0.0, self.cycle * float(self.setup.step_s)), "gnc link", complaint))
+
+
+def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
+    """Return the backend of ``scenario`` over ``link``. period_s: wall time of a cycle, None in simulated time."""
+    monitor = FilterMonitor(gnc_params.navigation(scenario), None)
+    return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))

@@ -221,6 +221,30 @@ def test_jump_of_the_gyro_beyond_all_thrusters_is_suspect_at_once(chaser: Monito
     assert chaser.health == GncHealth.IMU_SUSPECT
 
 
+def test_chaser_that_swings_has_an_unknown_cause(chaser: MonitoredChaser) -> None:
+    bits = 0
+    for cycle in range(1500):
+        chaser._on[:] = 0
+        size = min(1.0, cycle / 600) * math.sin(2.0 * math.pi * 0.1 * STEP_S * cycle)
+        chaser.samples[0].force_C = size * np.array([0.006, 0.001, 0.0])
+        chaser.samples[0].force_C += 1e-5 * chaser._rng.standard_normal(3)
+        chaser.samples[0].rate_C += 1e-9
+        chaser.watch()
+        bits |= chaser.health
+    assert bits == GncHealth.CAUSE_UNKNOWN
+
+
+def test_jump_of_the_rate_alone_is_passed_on_as_one_of_the_gyros(chaser: MonitoredChaser) -> None:
+    for _ in range(100):
+        chaser._on[:] = 0
+        chaser.cycle({}, wanted=None)
+        chaser._on[:] = 0
+    chaser._rate += np.array([0.0, np.radians(0.004), 0.0])
+    chaser.cycle({})
+    assert chaser.state.jump == pytest.approx(np.radians(0.004), rel=0.05)
+    assert chaser.health == 0
+
+
 def test_acceleration_that_no_thruster_explains_is_suspect_after_a_second(
     chaser: MonitoredChaser, scheme_1: Scenario
 ) -> None:

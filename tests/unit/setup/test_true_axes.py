@@ -11,8 +11,8 @@ from hil.bench import kinematics
 from hil.config.load import load_rig
 from hil.core.messages import AXES, CYCLE, new
 from hil.params import bench as bench_params
+from hil.parts.emulation.session import TrueAxesWatch
 from hil.parts.emulation.shared_state import SharedAxisState
-from hil.parts.emulation.true_axes import TrueAxesWatch
 
 STEP_S = 0.02
 NOW_S = 7.3

@@ -90,9 +90,9 @@ def dss(
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.core.operator_commands import AutoResumeOperator
     from hil.parts.links.authentication import link_key
-    from hil.parts.links.setup import make_udp_gnc, mirror_to
+    from hil.parts.links.mirror import mirror_to
     from hil.parts.links.udp import shown
-    from hil.parts.links.udp_gnc import gnc_link
+    from hil.parts.links.udp_gnc import gnc_link, make_udp_gnc
     from hil.session import build
 
     paced = is_mock and not lock_step
