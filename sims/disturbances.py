@@ -29,12 +29,13 @@ import numpy as np
 
 from tests.support.disturbance_verdicts import SeedResult, Verdict, judge
 from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow
+from tests.support.vmu_crowded import CROWDED_ROWS
 from tests.support.vmu_disturbances import ROWS, Row
 from tests.support.vmu_lab import LAB_ROWS
 from tests.support.vmu_lookalikes import LOOKALIKE_ROWS
 
 TABLES: dict[str, tuple[dict[str, Row | MonitorRow], int]] = {
-    "vmu": ({row.name: row for row in (*ROWS, *LOOKALIKE_ROWS, *LAB_ROWS)}, 40),
+    "vmu": ({row.name: row for row in (*ROWS, *LOOKALIKE_ROWS, *LAB_ROWS, *CROWDED_ROWS)}, 40),
     "monitor": ({row.name: row for row in MONITOR_ROWS}, 20),
 }
 HEAD = "| row | {} | gross | error over sigma, rms | within 2 sigma, % | refused | ms | |\n" + 8 * "|---" + "|"

@@ -22,7 +22,7 @@ from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
 
 _MOST_COMPONENTS: Final = 512
-_MOST_TRIES: Final = 6
+_MOST_TRIES: Final = 4
 _STEPS_TRIES: Final = 2
 _MOST_WORK: Final = 2.2e7  # products of the fits in one image: about 20 ms
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)

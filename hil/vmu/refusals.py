@@ -56,22 +56,22 @@ def reason(
         case status if status == TOO_FEW and max(left, right) < 3:
             return f"{lights}: longer exposure, or are LEDs hidden?"
         case status if status == TOO_FEW:
-            return f"{lights}: so few may be a pattern by chance; a start pose or a track decides"
+            return f"{lights}: maybe by chance; a start pose or a track decides"
         case status if status == NO_MATCH:
             clipped = sum(int((side["flags"] & SATURATED > 0).sum()) for side in spots)
             if clipped > max(left, right):
                 return f"{lights}, most at full scale: shorten the exposure"
-            return f"{lights}, none of them in the ring's shape: are leds_m and the focal lengths right?"
+            return f"{lights}, none as the ring: are leds_m and focal lengths right?"
         case status if status == GEOMETRY:
             return (
                 f"fits only beyond {settings.near_m:g} to {settings.far_m:g} m or {settings.steepest_deg:g} deg of tilt"
             )
         case status if status == GEOMETRY_FILE:
             if swapped():
-                return "would fit with the opposite baseline: images exchanged, or the sign of baseline_m"
-            return "each image alone fits, both disagree along the baseline: baseline_m, leds_m, focal length?"
+                return "would fit with the opposite baseline: images exchanged, or sign of baseline_m"
+            return "each image alone fits, not both: baseline_m, leds_m or focal lengths are wrong"
         case status if status == NOT_TOGETHER:
-            return "each image alone fits, both disagree: a moving target, state sync_s; or a camera has turned"
+            return "each image alone fits, not both: a moving target (sync_s), or a turned camera"
         case status if status == AMBIGUOUS and verdict.open:
             return "a second pattern of LEDs in the images: a reflection, another ring? Cover it"
         case status if status == AMBIGUOUS and verdict.jump:

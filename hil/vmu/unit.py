@@ -298,7 +298,8 @@ class VisionUnit:
         is_overfull = any(detector.overfull for detector in self._detectors)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
-        if not is_overfull and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
+        is_complete = not (is_overfull or self._is_exhausted)
+        if is_complete and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
         if verdict.status in (TOO_FEW, NO_MATCH) and not (is_overfull or self._is_exhausted):
             verdict, view, spots = self._before_steps(images, expected) or (verdict, view, spots)
@@ -442,7 +443,7 @@ class VisionUnit:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
         degrees, scale = residual_scale(fit)
         if doubt is None and scale > _LARGEST_SCALE:
-            doubt = Doubt(RESIDUALS, scale, "times those stated")
+            doubt = Doubt(RESIDUALS, scale, "times those stated: state spot_px, or calibrate")
         status = OK if doubt is None else SUSPECT
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)

@@ -39,7 +39,7 @@ def bloom(light: Array) -> Array:
 
 
 def band(rng: np.random.Generator) -> Sensor:
-    """Return a rolling shutter under lamps of the mains, or a sensor with a band of interference."""
+    """Return a rolling shutter in light that follows the mains, or a sensor with a band of interference."""
     period, levels, phase = rng.uniform(15.0, 120.0), rng.uniform(6.0, 40.0), rng.uniform(0.0, 6.3)
     if rng.random() < 0.5:
         return lambda light: light + levels * (1.0 + np.sin(2.0 * np.pi * _V / period + phase))
@@ -112,7 +112,7 @@ def sparkle(number: int) -> Frames:
     return frames
 
 
-_SOME = Expectation(solved=0.0, drawn=False)
+_SOME = Expectation(solved=0.0, drawn=False)  # none is wrong, and none takes long
 
 CROWDED_ROWS = (
     Row(

@@ -209,7 +209,7 @@ def shaken(frames: Frames, sigma_px: float, alike: bool = False) -> Frames:
     return out
 
 
-_SOLVED = {"window with bars": 0.6, "cables": 0.6}  # LEDs on bars and cables are lost with these
+_SOLVED = {"window with bars": 0.85, "cables": 0.85}  # LEDs on several bars or cables at once are lost
 _EITHER = Expectation(refused=("ambiguous", "ok_position", "ok_sight", "too_few"))
 _SHAKEN = Expectation(solved=0.8, drawn=False)
 _VIBRATING = replace(USUAL, vibration_px=1.0)

@@ -52,6 +52,7 @@ _BETTER: Final = 12.0  # gain in twice the log-likelihood: about the number of e
 _TIMING: Final = 24.0  # the same, of images lost at up to two places
 _LARGE_SCATTER: Final = 3.0  # of the frames, relative to their noise: images may have been lost
 _DROPPED: Final = 30.0  # the same, of a frame left out
+_LEFT_OVER: Final = 6.0  # scatter besides a vibration, relative to that of the model, up to which it is the model's
 _SLIGHT: Final = 2.0  # up to which other times of the frames explain it
 _MOST_LOST: Final = 10  # images in one portion
 _CHANGES: Final = 3  # explanations in one portion
@@ -291,8 +292,9 @@ class MotionFit:
         motion2, doubt = _motion_square(squares)
         widened = motion2 / edges2 if motion2 > edges2 * (1.0 + _SIGNIFICANT * doubt) else 1.0
         noise = edges2 if excess == 0.0 else 1.0
-        model_px = _MODEL_PX if jitter == 0.0 else 0.0
-        floor = 1.0 + model_px**2 * _image_information(frames, self._focal_px)
+        floor = 1.0 + _MODEL_PX**2 * _image_information(frames, self._focal_px)
+        if jitter > 0.0 and motion2 > _LEFT_OVER * noise * floor:
+            floor = 1.0
         scattered = widened > floor * (1.0 + _SIGNIFICANT * doubt)
         factor = noise * widened + len(frames) * excess
         covariance = inverse @ (prior @ true @ prior + held + factor * information) @ inverse

@@ -14,7 +14,7 @@ from hil.vmu.kernels.refine import jacobian, place_when_seen, refine
 
 _GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
 _ROUNDS = 10
-_HOPELESS = 10.0  # times its limit, above which no other spots mend chi-square
+_HOPELESS = 10.0  # times its limit, above which no other spots reduce chi-square enough
 _LIMIT_SIGMA = 4.9  # of the sum of squares: one good fit in two million exceeds it
 _WINDOW_SIGMAS = 4.5
 _SPOT_M = 0.012  # largest LED, with its halo

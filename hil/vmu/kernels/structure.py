@@ -1,6 +1,6 @@
 """Light on a background that continues on both sides of it: on a cable, a bar of a window, next to the edge of a wall.
 
-What lies behind the light is interpolated between both sides, along the direction that explains its surroundings best.
+The background of the light is interpolated between both sides, along the direction that explains its surroundings best.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def test_steady_leds_of_which_some_are_hidden_do_not_flicker(rng: np.random.Gene
     assert camera.reason() == ""
 
 
-def test_refused_pair_of_flickering_leds_says_so(rng: np.random.Generator) -> None:
+def test_refused_pair_of_flickering_leds_has_the_reason(rng: np.random.Generator) -> None:
     unit, texts = VisionUnit(known_geometry(VERY_GOOD)), []
     scene = real_bench(VERY_GOOD, rng, PixelOptics())
     for k in range(8):

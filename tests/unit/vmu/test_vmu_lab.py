@@ -7,20 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.parts.vision.cli.vmu import never_found
 from hil.vmu.detect import SpotDetector
 from hil.vmu.ghosts import LensGhosts
+from hil.vmu.identify import LedIdentification
 from hil.vmu.kernels.components import COMPONENT_WIDTH, U0, U1, V0, V1
-from hil.vmu.kernels.records import SPOT_RAY
+from hil.vmu.kernels.records import FIT, SPOT, SPOT_RAY
 from hil.vmu.kernels.structure import flatten
-from hil.vmu.unit import VisionUnit
+from hil.vmu.pose import SolverSettings
+from hil.vmu.refusals import reason, reason_of_time
+from hil.vmu.unit import Solution, VisionUnit
 from tests.support.disturbance_verdicts import judge
+from tests.support.vmu_crowded import CROWDED_ROWS
 from tests.support.vmu_disturbances import VERY_GOOD, Row, known_geometry, real_bench, somewhere
 from tests.support.vmu_lab import BACKDROPS, LAB_ROWS, Backdrop, backgrounds, beside, ghosts, twins
 from tests.support.vmu_pixels import PixelOptics
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", LAB_ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [*LAB_ROWS, *CROWDED_ROWS], ids=lambda row: row.name)
 def test_every_row_of_the_laboratory_is_as_expected(row: Row) -> None:
     """The table of ``python sims/disturbances.py vmu``."""
     verdict = judge(row.expected, [row.run(40, seed).result() for seed in range(3)])
@@ -126,6 +131,23 @@ def test_refusal_has_cause_amount_and_remedy(lit: int, levels: float, status: st
     )
     solution = unit.solve(*replace(scene, leds_m=scene.leds_m[:lit]).pair(truth.turn, truth.t_v, rng), 0.0)
     assert (solution.status, str(solution.doubt)) == (status, why)
+
+
+@pytest.mark.parametrize("status", ["too_few", "rejected_no_match", "rejected_geometry", "rejected_geometry_file",
+                                    "rejected_sync", "ambiguous"])  # fmt: skip
+def test_reason_of_a_refusal_fits_into_80_columns(status: str) -> None:
+    spots = [np.zeros(64, SPOT)] * 2
+    fits = np.zeros(12, FIT)
+    for verdict in (LedIdentification(status, candidates=fits), LedIdentification(status, candidates=fits, open=True)):
+        for swapped in (True, False):
+            assert 20 < len(reason(verdict, spots, 32, SolverSettings(), lambda swapped=swapped: swapped)) <= 80
+    assert len(reason_of_time([np.full((900, 900), 255, np.uint8)], spots)) <= 80
+
+
+def test_led_that_no_pair_has_is_named() -> None:
+    measured = [Solution(0.0, "ok", None, (np.zeros(0, SPOT),) * 2, ((-1, 0, 1, 2), (-1, 0, 2, -1)))] * 6
+    assert never_found(measured) == [0]
+    assert never_found(measured[:2]) == []
 
 
 def test_opposite_sign_of_the_baseline_is_named() -> None:

@@ -57,6 +57,7 @@ COLUMNS = (
     "sigma_sight_rad",
     "doubt",
 )
+_ENOUGH = 5  # measured pairs
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
 
 
@@ -332,8 +333,17 @@ def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
         "status": dict(sorted(counts.items())),
         "chi2_per_degree": chi2 / degrees if degrees else None,
         "searched": sum(solution.full_frame for solution in measured),
-        "refused": commonest((s.status, str(s.doubt or "")) for s in solutions if s.status != OK),
+        "refused": commonest((s.status, str(s.doubt or "")) for s in solutions if s.status != OK)
+        + [f"LED {n} was never found: dark, hidden, or not where leds_m has it" for n in never_found(measured)],
     }
+
+
+def never_found(measured: Sequence[Solution]) -> list[int]:
+    """Return the LEDs without a spot in all of at least ``_ENOUGH`` measured pairs."""
+    if len(measured) < _ENOUGH:
+        return []
+    n_leds = len(measured[0].leds[0])
+    return [n for n in range(n_leds) if all(side[n] < 0 for solution in measured for side in solution.leds if side)]
 
 
 def _check_size(images: ImageFolder, geometry: VmuGeometry, path: str) -> None:
