@@ -133,7 +133,7 @@ def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(live_view:
 
 
 def test_the_page_gets_how_far_a_tracker_has_the_chaser_from_the_encoders(live_view: LiveView) -> None:
-    """Five times a second, and only what was measured: rows of other bodies and of poor samples are not shown."""
+    """At 5 Hz, and only what was measured: rows of other bodies and of poor samples are not shown."""
     rows = np.zeros(60, SAMPLE)
     rows["t_s"] = 0.01 * np.arange(60)
     rows["off_m"] = [0.001, -0.002, 0.0005]

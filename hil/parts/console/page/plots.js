@@ -86,7 +86,7 @@ export class Plots {
     return this.points(store, store.portions, ({ r_m }, row) => r_m && r_m[axis] - store.at(row, `reference_m.${"xyz"[axis]}`));
   }
 
-  // The same of a tracker, which tells how far off the encoders are.
+  // The same of a tracker, which shows how far off the encoders are.
   tracker(store, axis) {
     const name = "xyz"[axis];
     return this.points(store, store.offsets, ({ off_m }, row) => off_m[axis] + store.at(row, `bench_m.${name}`) - store.at(row, `reference_m.${name}`));
