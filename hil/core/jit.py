@@ -119,7 +119,7 @@ def _fields(types: Iterable[Any]) -> list[Any]:
 
 @typeof_impl.register(np.void)
 def _type_of_record(value: np.void, context: Any) -> Any:
-    """Return the type of a record for calls of kernels; numba makes it anew, with those of all fields, for each."""
+    """Return the type of a record in a call of a kernel, made once: numba would make it in each, with all fields."""
     return _type_of_fields(value.dtype, value.dtype.isalignedstruct)
 
 

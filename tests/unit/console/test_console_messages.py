@@ -30,7 +30,7 @@ def test_message_carries_state_rows_and_image_unchanged(rng: np.random.Generator
     picture = replace(picture, encoding="png", status="ok", exposed_s=99.5)
     portions = {"first": 3, "list": [{"t_s": 1.0}]}
     now = {"mode": "running", "wall_s": 100.0}
-    header, got, data = unpack(pack(now, {"word": "\u00e4"}, numbers, 7, picture, portions))
+    header, got, data = unpack(pack(now, {"word": "\u00e4"}, numbers, 7, picture, {"portions": portions}))
     np.testing.assert_array_equal(got, numbers)
     assert data == picture.data
     assert header["now"] == now
