@@ -15,8 +15,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy, as `hil` does: idle threads spin, and would count
 
+import argparse
 import ctypes
-import sys
 import time
 from collections.abc import Callable, Sequence
 
@@ -115,7 +115,10 @@ class OpenCv:
         return moved[:, 0], both.x[3:]
 
 
-def main(count: int) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", type=int, nargs="?", default=10, help="pairs at each range")
+    count = parser.parse_args().count
     cv2.setNumThreads(1)
     for option in (-1, -3):  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of glibc
         ctypes.CDLL(None).mallopt(option, 1 << 30)
@@ -163,4 +166,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    main()
