@@ -22,13 +22,10 @@ from typing import IO, Any, TypeVar, cast
 
 import llvmlite.binding
 import numba
-import numpy as np
 from numba import njit
 from numba.core.compiler import CompileResult
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
-from numba.extending import typeof_impl
-from numba.np import numpy_support
 
 from hil.core.formulas import compile_formulas_by
 from hil.core.kernel_digest import OF_IMAGES, NotDigestible, digest_of
@@ -115,17 +112,6 @@ def _fields(types: Iterable[Any]) -> list[Any]:
     """Return the names of the fields of all named tuples in ``types``, which the names of their types do not hold."""
     tuples: list[Any] = [each for each in types if isinstance(each, numba.types.BaseTuple)]
     return [(getattr(each, "fields", ()), _fields(each.types)) for each in tuples]
-
-
-@typeof_impl.register(np.void)
-def _type_of_record(value: np.void, context: Any) -> Any:
-    """Return the type of a record in a call of a kernel, made once: numba would make it in each, with all fields."""
-    return _type_of_fields(value.dtype, value.dtype.isalignedstruct)
-
-
-@cache
-def _type_of_fields(dtype: np.dtype, aligned: bool) -> Any:
-    return numpy_support.from_dtype(dtype)
 
 
 @cache
