@@ -12,6 +12,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from hil.config.tables.arm import Arm
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
+from hil.config.tables.can_bus import CanBus
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
@@ -26,7 +27,7 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
-from hil.config.tables.imu_wire import CanBus, ImuWire
+from hil.config.tables.imu_wire import ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
@@ -634,10 +635,6 @@ class Rails(LinearAxes):
         return self.controllers
 
 
-def _length(components: Iterable[float]) -> float:
-    return math.sqrt(linear.total(value * value for value in components))
-
-
 class TargetManipulator(Rails, HeldAtPlace):
     """Rails of the target, along the axes of L: placed before a run and held during it, or driven in it."""
 
@@ -658,8 +655,8 @@ class TargetManipulator(Rails, HeldAtPlace):
     def path_speed_mps(self) -> float:
         """Largest speed of the target on its path, while it catches up with it; 0 without one."""
         parts = zip(pairwise(self.path_s), pairwise(self.path_m), strict=True)
-        speeds = [_length(b - a for a, b in zip(*ends, strict=True)) / (t_1 - t_0) for (t_0, t_1), ends in parts]
-        return min(_CATCHING_UP * max(speeds, default=0.0), _length(axis.limits[2] for axis in self.axes))
+        speeds = [linear.length(b - a for a, b in zip(*ends, strict=True)) / (t_1 - t_0) for (t_0, t_1), ends in parts]
+        return min(_CATCHING_UP * max(speeds, default=0.0), linear.length(axis.limits[2] for axis in self.axes))
 
     @model_validator(mode="after")
     def _a_rail_moves_the_target(self) -> Self:

@@ -79,7 +79,8 @@ def _row(evidence, k):
 @entry
 def _unpredicted(y, n):
     """Return the square of what the rows before leave of ``y`` (n,), but for the first rows."""
-    a, b, low, x = stack.matrix(4, 4), stack.vector(4), stack.matrix(4, 4), stack.vector(4)
+    a, low = stack.matrix(_ORDER, _ORDER), stack.matrix(_ORDER, _ORDER)
+    b, x = stack.vector(_ORDER), stack.vector(_ORDER)
     fill_matrix(a, 0.0)
     fill(b, 0.0)
     square, predicted = 0.0, 0.0
@@ -98,7 +99,7 @@ def _unpredicted(y, n):
 @entry
 def names_imu(evidence):
     """Return whether wrong readings of the IMU stand out from a swing and from nothing wrong."""
-    y, gain, n = stack.vector(128), 0.0, evidence.n
+    y, gain, n = stack.vector(ROWS), 0.0, evidence.n
     for i in range(6):
         wrong, square, total, sizes = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
@@ -130,7 +131,7 @@ def names_thruster(evidence, signature, j, opens):
     It stands out, or explains most of that. It may have failed any number of rows ago, from 2 on. A run that has just
     begun has no swing yet.
     """
-    y, before, n, best, back, total = stack.vector(128), stack.vector(6), evidence.n, 0.0, 2, 0.0
+    y, before, n, best, back, total = stack.vector(ROWS), stack.vector(6), evidence.n, 0.0, 2, 0.0
     if n <= 2 * _ORDER:
         return True
     for i in range(6):

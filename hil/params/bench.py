@@ -118,7 +118,7 @@ def manipulator(rig: Rig) -> np.record | None:
 
 def manipulator_limits(rig: Rig, step_s: float) -> np.record:
     """Return BENCH_PARAMS with the limits of the target's axes, see ``places``; others stand."""
-    target, params = rig.rotated_target or rig.shared_rails, manipulator(rig)
+    target, params = rig.moving_target, manipulator(rig)
     assert target is not None
     assert params is not None
     return limits_of(target.axes, step_s, places(params).start)

@@ -12,8 +12,8 @@ from canopen.objectdictionary.eds import import_eds
 
 from hil.config.rig import Cia402
 from hil.core.clock import WallClock
+from hil.drivers.can_port import CanPort
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.eds_file import read_data_sheet
 from hil.drivers.turntable.cia402.sdo import PortNetwork

@@ -312,7 +312,7 @@ def test_two_groups_and_nodes_of_others_share_a_bus_with_a_short_queue(monkeypat
 
 
 def test_full_queue_is_waited_for_and_a_dead_bus_is_not(monkeypatch) -> None:
-    from hil.drivers.turntable.cia402.can_port import CanPort
+    from hil.drivers.can_port import CanPort
 
     clock = BusClock()
     bus = CanBus(clock, 500_000)

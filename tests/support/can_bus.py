@@ -8,7 +8,7 @@ from collections import deque
 import can
 
 from hil.config.rig import RotaryAxes
-from hil.drivers.turntable.cia402.can_port import REMOTE, Frame
+from hil.drivers.can_port import REMOTE, Frame
 from hil.parts.emulation.cia402 import Cia402Emulator
 
 QUEUE = 10

@@ -6,23 +6,20 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.tables.can_bus import CanBus
 from hil.config.tables.driver_registry import Wire, WireKey
 from hil.config.tables.model import ConfigModel, Positive
 
 
-class WordsCan(ConfigModel):
+class WordsCan(CanBus):
     """The CAN bus of the command words."""
 
     interface: str = "socketcan"
     """Interface of python-can."""
-    channel: str | None = None
-    """Channel of that interface."""
     baud: Annotated[int, Field(gt=0)] = 115_200
     """Baud rate of a serial adapter."""
     bitrate: Annotated[int, Field(gt=0)] = 500_000
     """Bit rate of the bus, bit/s."""
-    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Further arguments of that interface, such as `host` and `port` of socketcand."""
     identifier: Annotated[int, Field(ge=1, le=0x7FF)] = 0x120
     """11-bit identifier of the command words."""
 

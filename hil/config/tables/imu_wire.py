@@ -6,25 +6,11 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.tables.can_bus import CanBus
 from hil.config.tables.driver_registry import Wire, WireKey, WireKind
 from hil.config.tables.model import ConfigModel, Positive, Triple
 
 UDP: Final = "udp://"
-
-
-class CanBus(ConfigModel):
-    """CAN bus of python-can."""
-
-    interface: str = "serial"
-    """Interface of python-can."""
-    channel: str | None = None
-    """Channel of that interface."""
-    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    """Bit rate of the bus, bit/s."""
-    baud: Annotated[int, Field(gt=0)] = 1_000_000
-    """Baud rate of a serial adapter."""
-    arguments: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Further arguments of that interface, such as `host` and `port` of socketcand."""
 
 
 class ImuCan(CanBus):

@@ -6,7 +6,7 @@ import math
 
 from hil.config.tables.imu_wire import ImuCan
 from hil.core.clock import BenchClock
-from hil.drivers.turntable.cia402.can_port import CanPort, encode_serial
+from hil.drivers.can_port import CanPort, encode_serial
 from hil.drivers.wire_reader import READ_WALL_S
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from hil.config.rig import Cia402, RotaryAxes
 from hil.core.clock import BenchClock
+from hil.drivers.can_port import CanPort, Frame, SerialFrames, encode_serial
 from hil.drivers.checksums import crc16_ccitt
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import CanPort, Frame, SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.units import Units
 from hil.errors import BadInput
 from hil.parts.emulation.cia402_drive import EmulatedCia402Drive

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from hil.drivers.can_port import Frame
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import Frame
 from hil.drivers.turntable.cia402.codec import DriveState
 from hil.parts.emulation.cia402_modes import DriveAxis, DriveMotion
 from hil.parts.emulation.cia402_objects import MappedPdo, ObjectDictionary

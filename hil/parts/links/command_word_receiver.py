@@ -69,7 +69,7 @@ class CanWords:
     """Words on a CAN bus."""
 
     def __init__(self, config: FlightComputer) -> None:
-        from hil.drivers.turntable.cia402.can_port import CanPort  # python-can is slow to import
+        from hil.drivers.can_port import CanPort  # python-can is slow to import
 
         self._identifier = config.can.identifier
         self._port = CanPort(NAME, config.can, WallClock())

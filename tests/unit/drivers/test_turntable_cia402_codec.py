@@ -8,8 +8,8 @@ import pytest
 
 from hil.config.rig import Cia402
 from hil.core.messages import Homing
+from hil.drivers.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.units import Units
 from hil.errors import FaultKind

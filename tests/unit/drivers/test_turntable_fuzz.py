@@ -16,10 +16,10 @@ from hil.config.load import load_protocol, load_rig
 from hil.config.rig import Cia402
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
+from hil.drivers.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.sdo import PortNetwork

@@ -15,9 +15,9 @@ from hil.config.rig import Cia402, GimbalAxis, RotaryAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
+from hil.drivers.can_port import CanPort, Frame
 from hil.drivers.cyclic_exchange import PERIOD_S, CyclicAxisGroup
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import CanPort, Frame
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.sdo import PortNetwork

@@ -14,8 +14,8 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from hil.core.clock import BenchClock
+from hil.drivers.can_port import CanPort
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.codec import Pdo
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.errors import LinkTimeout, ProtocolError
