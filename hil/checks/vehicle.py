@@ -183,8 +183,12 @@ def _why_not(scenario: Scenario) -> str:
         r, v = sample.r + off, sample.v + speed
         range_m = linear.length(r)
         limit_mps = float(closing_limit(params, range_m))
-        if (speed_mps := limit_mps - float(closing_margin(params, r, v))) > _CLOSING * limit_mps:
-            return f"the chaser would close with {speed_mps:.3g} m/s at {range_m:.2f} m, allowed {limit_mps:.3g}"
+        allowed_mps = _CLOSING * limit_mps
+        if (speed_mps := limit_mps - float(closing_margin(params, r, v))) > allowed_mps:
+            return (
+                f"the chaser would close with {speed_mps:.3g} m/s at {range_m:.2f} m, allowed {allowed_mps:.3g}, "
+                f"{_CLOSING:.0%} of the closing rate there"
+            )
         if (margin := float(corridor_margin(params, sample.from_H, sample.to_H, r))) < 0.0:
             return f"the chaser would leave the corridor by {-margin:.3g} m at {range_m:.2f} m"
     allowed = tolerances(scenario.requirements)["position_m"]
