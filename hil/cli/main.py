@@ -28,6 +28,7 @@ from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
+from hil.core.public import missing_package
 from hil.core.surroundings import (
     GARBAGE_THRESHOLD,
     host_limit,
@@ -49,12 +50,6 @@ _STOPPED: Final = threading.Event()
 
 COMMANDS: Final = commands_of()
 _KINDS: Final = {bool: "true or false", int: "an integer", float: "a number"}
-
-_EXTRAS: Final = {
-    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
-    "websockets": "console", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
-}  # fmt: skip
-"""Package that only some commands need -> the extra that installs it."""
 
 _GROUPS: Final = {
     "Start": ("run", "init", "list", "keys", "preflight", "warm-up"),
@@ -198,8 +193,7 @@ def _execute(arguments: Sequence[str]) -> int:
             return _fail("stopped by the operator", SAFE_STOPPED)
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
-        if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
-            text = f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'"
+        if isinstance(error, ModuleNotFoundError) and (text := missing_package(error)):
             return _fail(f"hil {arguments[0]}: {text}", BAD_INPUT)
         if limit := host_limit(error):
             return _fail(limit, BAD_INPUT)

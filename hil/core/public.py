@@ -70,14 +70,26 @@ _OF_TYPE: Final[Mapping[Any, _Allowed]] = {
     str: _Allowed(lambda value: isinstance(value, str), ("a name",)),
     np.ndarray: _Allowed(lambda value: isinstance(value, np.ndarray), ("a numpy array",)),
 }
+_EXTRAS: Final = {
+    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
+    "websockets": "console", "pyarrow": "campaign", "distributed": "campaign", "cloudpickle": "campaign",
+    "pytest": "dev",
+}  # fmt: skip
+"""Package that only some capabilities need -> the extra that installs it."""
 _SEVERAL: Final = {"an integer": "integers", "a number": "numbers", "a dict": "tables", "a name": "texts"}
+
+
+def missing_package(error: ModuleNotFoundError) -> str:
+    """Return the text for a package that an extra installs, "" for any other module."""
+    extra = _EXTRAS.get(error.name or "")
+    return f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'" if extra else ""
 
 
 def public(function: _F) -> _F:
     """Return ``function``, a method, or a class, whose arguments are checked before it is called.
 
     An argument that is unknown, missing, or not of the type of its annotation raises BadInput, which names it with its
-    value and what is allowed.
+    value and what is allowed; so does a package of an extra that is not installed.
     """
     if isinstance(function, type):
         made: Any = function
@@ -102,7 +114,12 @@ def _checked(function: Callable[..., Any], name: str) -> Callable[..., Any]:
         ]
         if problems:
             raise BadInput(problems)
-        return function(*arguments, **named)
+        try:
+            return function(*arguments, **named)
+        except ModuleNotFoundError as error:
+            if text := missing_package(error):
+                raise BadInput.single(name, "", text) from error
+            raise
 
     made: Any = call
     made.__signature__ = _signature(function)

@@ -38,13 +38,10 @@ _DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
 def parquet() -> tuple[Any, Any]:
-    """Return pyarrow and its parquet module; raise BadInput if they are not installed."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        text = "needs pyarrow, which is not installed: pip install 'hil-bench[campaign]'"
-        raise BadInput.single("hil campaign", "", text) from error
+    """Return pyarrow and its parquet module."""
+    import pyarrow as pa  # slow import
+    import pyarrow.parquet as pq
+
     return pa, pq
 
 

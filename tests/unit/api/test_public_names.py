@@ -139,3 +139,17 @@ def test_an_invalid_copy_of_a_scenario_is_refused() -> None:
     scenario = hil.load_scenario("scheme-1")
     with pytest.raises(hil.errors.BadInput, match="Scenario object: step_s: "):
         hil.run(scenario.model_copy(update={"step_s": -1.0}))
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "call"),
+    [
+        ("pyarrow", "campaign", lambda: hil.campaign("scheme-1", runs=1)),
+        ("distributed", "campaign", lambda: hil.campaign("scheme-1", runs=1, scheduler="tcp://127.0.0.1:1")),
+    ],
+)
+def test_a_package_of_an_extra_that_is_missing_is_named_with_the_extra(monkeypatch, package, extra, call) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(hil.errors.BadInput) as caught:
+        call()
+    assert str(caught.value) == f"campaign: needs {package}, which is not installed: pip install 'hil-bench[{extra}]'"
