@@ -33,14 +33,16 @@ _DEG: Final = math.degrees(1.0)
 class AxisHold(NamedTuple):
     """How an axis is held at the ready point, in m and m/s, of an attitude in deg and deg/s.
 
-    change: of the rate by a smallest firing. held: largest error over the time of a go. amplitude, period_s,
-    propellant_kgph: of the limit cycle that smallest firings make without noise. level: least one of a go, 0 if it is
-    not known. rate_key, key: of the requirement, in the order of rate_max and tolerance.
+    change: of the rate by a smallest firing; a go allows change_max, a part of rate_max. held: largest error over the
+    time of a go. amplitude, period_s, propellant_kgph: of the limit cycle that smallest firings make without noise.
+    level: least one of a go, 0 if it is not known. rate_key, key: of the requirement, in the order of rate_max and
+    tolerance.
     """
 
     name: str
     unit: str
     change: float
+    change_max: float
     rate_key: str
     rate_max: float
     held: float
@@ -57,10 +59,10 @@ class AxisHold(NamedTuple):
         allowed = f"requirements.{self.key} = {self.tolerance:g}"
         if self.level >= self.tolerance:
             return f"{allowed}: the level of a go is {self.level:.2g} {self.unit} at least, so there will be none"
-        if self.change > self.rate_max:
+        if self.change > self.change_max:
             return (
                 f"requirements.{self.rate_key} = {self.rate_max:g}: the smallest firing changes the rate {self.name} "
-                f"by {self.change:.2g} {self.unit}/s: Table III does not hold after it, and there will be no go"
+                f"by {self.change:.2g} {self.unit}/s, a go allows {self.change_max:.2g}, so there will be none"
             )
         with_level = self.held + self.level
         if with_level > self.tolerance:
@@ -111,6 +113,7 @@ def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
                 f"{along} {'xyz'[i]}",
                 unit,
                 scale * pulse,
+                scenario.gnc.integrity.go_fraction * getattr(needs, rate_key),
                 rate_key,
                 getattr(needs, rate_key),
                 scale * held,

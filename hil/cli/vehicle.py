@@ -125,7 +125,7 @@ def _show(numbers: dict[str, Any]) -> None:
     print_columns(("plan takes, m/s2", "", "at most", "given", "key"), taken, left=(0, 1, 4))
     held = [
         (
-            axis["name"], axis["unit"], f"{axis['change']:.3g}", f"{axis['rate_max']:g}", f"{axis['held']:.3g}",
+            axis["name"], axis["unit"], f"{axis['change']:.3g}", f"{axis['change_max']:g}", f"{axis['held']:.3g}",
             "-" if axis["level"] is None else f"{axis['level']:.3g}", f"{axis['tolerance']:g}",
             f"{axis['amplitude']:.3g}", f"{axis['period_s']:.3g}", f"{axis['propellant_kgph']:.3g}",
         )

@@ -15,8 +15,8 @@ from hil.maths.limits import has_held
 
 GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED, FIRING, SUM, HOLD = range(9)
 """What an estimate lacks for a go, GO if nothing. UNBOUNDED: a protection level exceeds its alert limit. FIRING: the
-smallest firing is too large for the required rate. SUM: innovations of the poses sum up. HOLD: control holds the axis
-within a larger error."""
+smallest firing is too large a part of the required rate. SUM: innovations of the poses sum up. HOLD: control holds the
+axis within a larger error."""
 
 GO_CHECK = np.dtype(
     [
@@ -114,13 +114,16 @@ def _is_certain(params, estimate, beyond, rotation, go):
 def _is_held(params, go, estimate):
     """Return whether control can hold the ready state: a smallest firing from rest keeps the rate, the error its limit.
 
+    A firing may take a part of the rate: arrays that swing, and the rate before it, add to it.
     The error with which an axis is held and the level of the estimate have to be within Table III together.
     """
+    turn = params.go_fraction * params.ready_angular_rate
     for i in range(3):
-        if not go.firing[i] <= params.ready_rate[i]:
-            return _lack(go, FIRING, 6 + i, go.firing[i], params.ready_rate[i])
-        if not go.firing[3 + i] <= params.ready_angular_rate:
-            return _lack(go, FIRING, 9 + i, go.firing[3 + i], params.ready_angular_rate)
+        allowed = params.go_fraction * params.ready_rate[i]
+        if not go.firing[i] <= allowed:
+            return _lack(go, FIRING, 6 + i, go.firing[i], allowed)
+        if not go.firing[3 + i] <= turn:
+            return _lack(go, FIRING, 9 + i, go.firing[3 + i], turn)
         if not go.hold[i] + go.level_m[i] <= params.ready_distance[i]:
             return _lack(go, HOLD, i, go.hold[i] + go.level_m[i], params.ready_distance[i])
         sigma = estimate.sigma_attitude_rad[i]

@@ -40,7 +40,7 @@ def test_a_firing_that_exceeds_a_rate_is_named_for_the_axes_that_a_planar_chaser
     scenario = load_scenario("planar", ("requirements.angular_rate_degps=0.001",)).value
     (line,) = (line for line in go_warnings(scenario, load_rig("mock-planar").value) if "angular_rate" in line)
     assert line.startswith("requirements.angular_rate_degps = 0.001: the smallest firing changes the rate about y by ")
-    assert line.endswith(": Table III does not hold after it, and there will be no go")
+    assert line.endswith(" deg/s, a go allows 0.00075, so there will be none")
 
 
 @pytest.mark.parametrize("settings", [(), RANGE_FINDER, ("gnc.navigation.backend=vision_alone",)])

@@ -233,9 +233,9 @@ def test_go_requires_a_level_within_table_iii_and_the_encoders(
 @pytest.mark.parametrize(
     ("field", "component", "value", "lacks", "axis"),
     [
-        ("firing", 5, math.radians(0.099), GO, 0),
-        ("firing", 5, math.radians(0.101), FIRING, 11),
-        ("firing", 1, 0.0201, FIRING, 7),
+        ("firing", 5, math.radians(0.074), GO, 0),
+        ("firing", 5, math.radians(0.076), FIRING, 11),
+        ("firing", 1, 0.0151, FIRING, 7),
         ("hold", 0, 0.0249, GO, 0),
         ("hold", 2, 0.016, HOLD, 2),
         ("hold", 4, math.radians(0.6), HOLD, 4),
