@@ -27,7 +27,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import evidence
 from hil.gnc.evidence import EVIDENCE_STATE
-from hil.maths import stack
+from hil.maths import elementary, stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.valves import step_valves
 
@@ -41,7 +41,8 @@ _THRUST_MIN = 0.3  # fraction of the thrust that an open one has, or a dead one 
 _TIE = 0.95  # of the largest square explained: as good an explanation
 _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
-_REPEATS_MAX = 10  # cycles
+_REPEATS_MAX = 10  # cycles, of readings that seldom repeat themselves
+_BY_CHANCE = -23.0  # logarithm of the probability with which those of a quantum that is not told may be as many
 _WITHHELD = 8  # cycles: enough to find either of two
 DELAYS: Final = 8
 """Valve delays that are compared, in cycles from 0."""
@@ -96,6 +97,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("withheld_cycles", "i8"),  # for so many more
         ("unexplained", "i8"),  # cycles
         ("repeats", "i8"),  # cycles in which gyro or accelerometer repeat their readings
+        ("repeated", "i8"),  # the same, of times that have passed and were short
         ("imu_suspect", "i8"),  # 1: until its readings agree with the commands again
         ("imu_since", "i8"),  # cycles before that in which its readings may have been wrong
         ("sound", "i8"),  # cycles in a row in which a suspect IMU agrees with the commands
@@ -261,6 +263,7 @@ def _watch_readings(params, state, rate, force, thrust):
         rate_repeats = rate_repeats and rate[i] == state.rate[i]
         force_repeats = force_repeats and force[i] == state.force[i]
     if not (rate_repeats or force_repeats):
+        state.repeated += state.repeats if state.repeats < _REPEATS_MAX else 0
         state.repeats = 0
         return
     rate_changes, force_changes = params.resolution[1] == 0.0, params.resolution[0] == 0.0
@@ -606,8 +609,11 @@ def watch(params, state, samples, on, bias, isolated, estimate):
         else:
             _judge(params, state, residual, thrust)
             _learn_arm(params, state, measured, residual)
-    if state.repeats >= _REPEATS_MAX:
-        _accuse_imu(state, _REPEATS_MAX + 1)
+    if (
+        state.repeats >= _REPEATS_MAX
+        and state.repeats * elementary.log((1.0 + state.repeated) / state.calls) < _BY_CHANCE
+    ):
+        _accuse_imu(state, state.repeats + 1)
     copy_into(state.rate, rate)
     copy_into(state.force, force)
     state.calls += 1
@@ -623,7 +629,7 @@ def watch(params, state, samples, on, bias, isolated, estimate):
 def pause(state):
     """Take note that the next samples do not follow the last ones."""
     state.calls = 1
-    state.repeats = state.unexplained = 0
+    state.repeats = state.repeated = state.unexplained = 0
     evidence.forget(state.evidence)
     fill(state.open_count, 0)
     fill(state.clear_count, 0)

@@ -37,6 +37,7 @@ _HYPOTHESES = {
     hypotheses.SCALE: "the accelerometer reads other than the commanded thrust, a scale, the mass or the thrust",
     hypotheses.ATTITUDE: "those of the attitude alone, the ephemeris, the gyros or the vision unit",
     hypotheses.COMMANDS: "the commanded thrust, which replaces an IMU that is suspect, or the vision unit",
+    hypotheses.CORRELATED: "noise of the poses that is more correlated than the budget's, or the vision unit",
     hypotheses.READINGS: "the IMU reads what no thruster gives, a flexible mode or slosh, or a device that has failed",
 }
 _ESCAPE = ("brake", "retreat", "hold")

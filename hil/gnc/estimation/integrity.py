@@ -83,9 +83,11 @@ INTEGRITY_STATE = np.dtype(
         ("followed_speed", "f8"),  # 1/s, of the ramp that is never found, the same per second
         ("spread_mps", "f8"),  # standard deviation of the corrections of the velocity, largest
         ("drags", "i8"),  # 1: they are more than thrust and noise explain
+        ("dragged", "f8"),  # the largest one, over what these explain
         ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is a go, standard deviations
         ("worst", "f8"),  # largest sum
         ("worst_of", "i8"),  # its number
+        ("peak", "f8"),  # largest one so far, over its limit
         ("followed_go", "f8"),  # as followed, of a fault that the present sums do not show
         ("go_m", "f8", 3),  # level that a go needs
         ("level", "f8", 3),  # m, protection level of the cycle before
@@ -145,6 +147,7 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
         larger = max(state.high[i], state.low[i])
         if larger > state.worst:
             state.worst, state.worst_of = larger, i
+    state.peak = max(state.peak, state.worst / params.cusum_limit)
     weight = max(params.nis_weight, 1.0 / state.monitored)
     state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
     if not math.isnan(nis_attitude):
@@ -227,7 +230,7 @@ def watch_velocity(thrust, errors, state, fusion):
 
     A vision unit that drifts pulls the velocity along, however slowly. thrust: THRUST_PARAMS. errors: ERROR_STATE.
     """
-    largest, state.drags = 0.0, 0
+    largest, state.dragged = 0.0, 0.0
     variance = max(fusion.filters.p[V, V], fusion.filters.p[V + 1, V + 1], fusion.filters.p[V + 2, V + 2])
     if fusion.thrust.spread == 0.0 or fusion.thrust.spread > _CONVERGES * variance:
         fusion.thrust.spread = variance  # corrections while the filters converge are none of these
@@ -235,8 +238,8 @@ def watch_velocity(thrust, errors, state, fusion):
     for i in range(3):
         spread = thrust_model.velocity_spread(thrust, errors, fusion.filters, fusion.thrust, i)
         largest = max(largest, spread)
-        if abs(fusion.corrected[i]) > _SPREADS * spread:
-            state.drags = 1
+        state.dragged = max(state.dragged, abs(fusion.corrected[i]) / (_SPREADS * spread))
+    state.drags = 1 if state.dragged > 1.0 else 0
     state.spread_mps = largest
 
 

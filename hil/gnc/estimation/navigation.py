@@ -124,7 +124,9 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     x = fused.filters.pkf.x
     distance = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
     out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row, distance)
-    out.health = hypotheses.name_cause(state.integrity, fused, params.fusion.pkf.dt_s, out.health)
+    out.health = hypotheses.name_cause(
+        params.integrity, state.integrity, fused, params.fusion.errors.fraction, params.fusion.pkf.dt_s, out.health
+    )
     if params.fusion.sensors.fused > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
         out.health |= SENSOR_SUSPECT
     if fused.started != 0:

@@ -11,8 +11,8 @@ from hil.core.gnc_records import GncHealth
 from hil.core.messages import new
 from hil.gnc.estimation import hypotheses, thrust_model
 from hil.gnc.estimation.fusion import FUSION_STATE
-from hil.gnc.estimation.hypotheses import ATTITUDE, DISTURBANCE, NAMED, SCALE, SWING
-from hil.gnc.estimation.integrity import INTEGRITY_STATE
+from hil.gnc.estimation.hypotheses import ATTITUDE, CORRELATED, DISTURBANCE, NAMED, SCALE, SWING
+from hil.gnc.estimation.integrity import INTEGRITY_PARAMS, INTEGRITY_STATE
 
 DT = 0.02
 SUSPECT, UNKNOWN = GncHealth.VISION_SUSPECT.value, GncHealth.CAUSE_UNKNOWN.value
@@ -24,9 +24,11 @@ class Inconsistent:
     def __init__(self) -> None:
         self.state, self.fusion = new(INTEGRITY_STATE), new(FUSION_STATE)
         self.fusion.cycle, self.state.biased, self.state.high[0] = 10_000, 1, 40.0
+        self.params, self.fraction = new(INTEGRITY_PARAMS), 0.0
+        self.params.suspect_after = 5
 
     def health(self, bits: int = SUSPECT) -> int:
-        return int(hypotheses.name_cause(self.state, self.fusion, DT, bits))
+        return int(hypotheses.name_cause(self.params, self.state, self.fusion, self.fraction, DT, bits))
 
 
 def test_vision_is_named_if_nothing_else_explains_the_innovations() -> None:
@@ -63,6 +65,18 @@ def test_old_swing_explains_nothing_and_a_mean_of_the_attitude_alone_names_no_de
     turned.state.high[0], turned.state.low[4] = 10.0, 40.0
     assert turned.health() == UNKNOWN
     assert turned.state.cause == ATTITUDE
+
+
+def test_noise_that_is_more_correlated_than_the_budget_explains_a_mean_up_to_a_size() -> None:
+    case = Inconsistent()
+    case.fraction, case.state.peak = 0.15, 1.1
+    assert case.health() == UNKNOWN
+    assert case.state.cause == CORRELATED
+    case.state.peak = 2.1
+    assert case.health() == SUSPECT
+    rejected = Inconsistent()
+    rejected.fraction, rejected.state.peak, rejected.fusion.rejected_in_a_row = 0.15, 1.1, 5
+    assert rejected.health() == SUSPECT
 
 
 def test_cause_is_that_of_the_first_cycle_until_the_innovations_are_consistent_again() -> None:
