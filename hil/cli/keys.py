@@ -34,7 +34,7 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
         plain = [[text.replace("`", "") for text in row] for row in rows]
         print_columns(("key", "type", "unit", "allowed", "default", "meaning"), plain, left=range(6))
     if any(key.row.unit == UNKNOWN_UNIT for key in matches):
-        say(f"unit {UNKNOWN_UNIT}: a number of another package whose name does not end in its unit", notices())
+        say(f"unit {UNKNOWN_UNIT}: a number whose name ends in no unit of hil/config/tables/units.py", notices())
     return 0
 
 

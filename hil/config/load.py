@@ -212,7 +212,9 @@ def _find(name: str, kind: str) -> Path:
     reason = "no such file" if path.suffix in suffixes else f"unknown {what}"
     names = ", ".join(shipped(kind))
     patterns = ", ".join(f"*{suffix}" for suffix in suffixes)
-    raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file ({patterns})")
+    raise BadInput.single(
+        name, "", f"{reason}: {did_you_mean(name, shipped(kind))}give {names} or the path of a {what} file ({patterns})"
+    )
 
 
 def read_with_bases(

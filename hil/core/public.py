@@ -72,8 +72,7 @@ _OF_TYPE: Final[Mapping[Any, _Allowed]] = {
 }
 _EXTRAS: Final = {
     "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
-    "websockets": "console", "pyarrow": "campaign", "distributed": "campaign", "cloudpickle": "campaign",
-    "pytest": "dev",
+    "websockets": "console", "pyarrow": "campaign", "distributed": "campaign", "pytest": "dev",
 }  # fmt: skip
 """Package that only some capabilities need -> the extra that installs it."""
 _SEVERAL: Final = {"an integer": "integers", "a number": "numbers", "a dict": "tables", "a name": "texts"}

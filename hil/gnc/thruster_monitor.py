@@ -42,7 +42,7 @@ _TIE = 0.95  # of the largest square explained: as good an explanation
 _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
 _REPEATS_MAX = 10  # cycles, of readings that seldom repeat themselves
-_BY_CHANCE = -23.0  # logarithm of the probability with which those of a quantum that is not told may be as many
+_BY_CHANCE = -23.0  # logarithm of the probability of as many repetitions by a quantum that the GNC does not have
 _WITHHELD = 8  # cycles: enough to find either of two
 DELAYS: Final = 8
 """Valve delays that are compared, in cycles from 0."""

@@ -68,7 +68,7 @@ class PythonBackend:
     def __init__(self, given: Any, part: str, refuse: Callable[[str], BadInput], copies: bool = False) -> None:
         self._given, self._part, self._copies = given, part, copies
         self._is_class = isinstance(given, type)
-        self.name = given.__name__ if self._is_class else type(given).__name__
+        self.name = class_name(given)
         if not callable(getattr(given, "step", None)):
             raise refuse(f"{self.name}: must be a class or an object with a method step(inp)")
         try:
@@ -202,7 +202,7 @@ def _shown(shape: tuple[int, ...]) -> str:
 
 def class_name(gnc: object) -> str:
     """Return the name of an object's class, as it appears in events, errors and the report."""
-    return type(gnc).__name__
+    return gnc.__name__ if isinstance(gnc, type) else type(gnc).__name__
 
 
 def _at(address: int, dtype: np.dtype) -> np.ndarray:

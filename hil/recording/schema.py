@@ -25,8 +25,8 @@ from hil.core.sensor_records import SENSOR_ARRIVAL_FIELDS
 from hil.errors import BadInput
 
 VERSION: Final = 4
-"""Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose.
-3: protection levels, health and reaction. 4: visible fraction of the Sun."""
+"""Version of all schemas together, incremented for a change that readers depend on. 2: joint covariance and status of
+a pose. 3: protection levels, health and reaction. 4: visible fraction of the Sun."""
 READABLE: Final = ("1", "2", "3", "4")
 """Versions of recordings that can be loaded: records are only appended to; fields that a recording lacks have
 ``Field.absent``."""

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.errors import BadInput
 from hil.maths.chi_square import band_of_mean
 
 STATES: Final = {"position": 9, "attitude": 6}
@@ -33,6 +34,8 @@ class Nees:
 
     def inside(self, name: str) -> float:
         """Return the fraction of the values of a filter, ``position`` or ``attitude``, in its bounds; nan without."""
+        if name not in STATES:
+            raise BadInput.single("nees", "", f"{name!r}: must be {' or '.join(STATES)}")
         values, (low, high) = getattr(self, name), getattr(self, f"{name}_bounds")
         known = values[np.isfinite(values)]
         return float(((low <= known) & (known <= high)).mean()) if len(known) else np.nan

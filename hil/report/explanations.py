@@ -18,7 +18,8 @@ EXPLANATIONS: Final = {
     "its covariance is no larger than in a filter whose sigmas are right.",
     "Ready": "First time at which each row of Table III has held for the dwell time.",
     "Navigation": "Root mean square of the error from 100 s on. Bound: Cramér-Rao bound, the least error of any filter "
-    "with these sensors. It is a reference, not a requirement: an error above it fails no part.",
+    "with these sensors over the spread of the error budget: a run with smaller errors may be below it. It is a "
+    "reference, not a requirement: an error above it fails no part.",
     "Sensor": "Samples by what the navigation made of them. Mean NIS: 1 per component if noise is as stated.",
     "Thrusters": "Time with a demand on x, y, z, before allocation; firings: openings of all valves.",
     "Bench": "Pose of the camera by the encoders against the truth: the error that rails and turntable add.",

@@ -112,13 +112,15 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
                 plot.axvline(verdict.ready_time_s, color="0.4", linestyle=":", linewidth=1)
         whole.set_ylabel(label)
         whole.legend(loc="upper right", ncols=3, fontsize=8)
-        for limit in sorted(set(np.round(allowed[key], 9))):
-            close.axhspan(-limit, limit, color="0.93", zorder=0)
+        least = allowed[key].min()
+        close.axhspan(-least, least, color="0.93", zorder=0)
+        for i in np.flatnonzero(allowed[key] > least):
+            close.hlines((-allowed[key][i], allowed[key][i]), 0.0, last_s, COLOURS[i], linestyles="--", linewidth=0.8)
         close.set_ylim(-1.3 * allowed[key].max(), 1.3 * allowed[key].max())
         begin_s = max(0.0, (verdict.ready_time_s if verdict.ready_time_s is not None else last_s - 60.0) - 20.0)
         close.set_xlim(begin_s, max(last_s, begin_s + scenario.step_s))
     axes[0, 0].set_title("whole run; dotted: ready", loc="left", fontsize=10)
-    axes[0, 1].set_title("at the end, grey: Table III", loc="left", fontsize=10)
+    axes[0, 1].set_title("at the end; Table III: grey, dashed where an axis has more", loc="left", fontsize=10)
     for plot in axes[3]:
         plot.set_xlabel("time, s")
     return figure

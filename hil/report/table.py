@@ -199,7 +199,7 @@ def _energy_text(part: results.Energy) -> str:
     over = f", {part.propellant_kg / bound:.2f} x impulsive bound" if bound else ""
     return (
         f"propellant {part.propellant_kg:.3f} kg, allowed {allowed:.3f} kg "
-        f"({part.factor:g} x impulsive least){over}, {part.firings} firings"
+        f"({part.factor:g} x impulsive minimum){over}, {part.firings} firings"
     )
 
 
@@ -216,7 +216,7 @@ def _integrity_text(part: results.IntegrityResults) -> str:
     near = f"nearest {part.nearest_m:.3f} m"
     if part.worst_error_m is None:
         return f"no estimate, {near}"
-    text = f"largest error {part.worst_error_m:.3f} m, alert limit {part.alert_limit_m:.3f} m, {near}"
+    text = f"error nearest its alert limit {part.worst_error_m:.3f} m of {part.alert_limit_m:.3f} m, {near}"
     if part.hmi_cycles is None:
         return f"{text}; no protection levels"
     available = "" if part.availability is None else f", available {100.0 * part.availability:.1f} %"

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hil.cli.main import _EXTRAS
 from hil.core.build_info import VERSION
+from hil.core.public import _EXTRAS
 from hil.parts.campaigns.pytest_plugin.options import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]

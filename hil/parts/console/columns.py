@@ -151,7 +151,7 @@ def console_rows(params: np.record, rows: np.ndarray) -> np.ndarray[Any, Any]:
 
     Columns of the estimate are nan before the first pose, while it is invalid.
     """
-    out = np.empty(len(rows), ROW)
+    out = np.full((len(rows), COLUMNS), np.nan).view(ROW)[:, 0]
     if len(rows):  # copied as bytes: numpy copies records field by field
         columns_of(params, euler.YAW_PITCH_ROLL, np.frombuffer(bytearray(rows.tobytes()), _CYCLE), out)
     columns = out.view("<f8").reshape(len(rows), COLUMNS).astype("<f4")

@@ -180,7 +180,9 @@ def test_tables_that_contradict_themselves_are_refused(write: Write, text: str, 
 
 
 def test_unknown_scenario_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(BadInput, match=r"scheme-9: unknown scenario: give .*scheme-1, .*scheme-2, .*scheme-3"):
+    with pytest.raises(
+        BadInput, match=r"scheme-9: unknown scenario: did you mean scheme-3.* give .*scheme-1, .*scheme-2, .*scheme-3"
+    ):
         load_scenario("scheme-9")
     with pytest.raises(BadInput, match=r"nowhere\.toml: no such file"):
         load_scenario("nowhere.toml")

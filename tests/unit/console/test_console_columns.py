@@ -32,6 +32,10 @@ def rotation(q: np.ndarray) -> Rotation:
     return Rotation.from_quat(q).inv()
 
 
+def test_every_column_is_written(flown: tuple[np.ndarray, np.ndarray]) -> None:
+    assert [name for name, k in INDEX.items() if not np.isfinite(flown[1][:, k]).any()] == []
+
+
 def known(history: np.ndarray) -> np.ndarray:
     found: np.ndarray = history["navigation"]["valid"] == 1
     assert found.sum() > 100

@@ -13,7 +13,7 @@ from hil.api.run_comparison import RunComparison
 from hil.api.runs import RunRequest, log, run_job, run_or_raise
 from hil.core.messages import Array
 from hil.core.public import public
-from hil.errors import BadInput
+from hil.errors import BadInput, did_you_mean
 from hil.maths.random_streams import MixedSeed
 from hil.parts.campaigns.campaign import Sweep, campaign_digest, sweep_summary
 from hil.parts.campaigns.dispersions import Design, case_seed
@@ -105,8 +105,10 @@ class Campaign:
     def column(self, name: str) -> Any:
         """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
         if name not in self.cases.column_names:
-            names = ", ".join(self.cases.column_names)
-            raise BadInput.single("campaign", name, f"no such column: give one of {names}")
+            near = did_you_mean(name, self.cases.column_names)
+            raise BadInput.single(
+                "campaign", name, f"no such column: {near or ', '.join(self.cases.column_names)}".strip()
+            )
         return self.cases.column(name).to_numpy()
 
     @public
