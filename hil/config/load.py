@@ -89,9 +89,7 @@ class Loaded(Generic[Model]):
 
     def where(self, key: str) -> str:
         """Return the file or option that set ``key``."""
-        while key and key not in self.origin:
-            key = key.rpartition(".")[0]
-        return self.origin.get(key, self.source)
+        return _where(key, self.origin, self.source)
 
     def problem(self, key: str, message: str) -> Problem:
         """Return a problem of ``key`` in the file or option that set it."""
@@ -402,15 +400,21 @@ def _problems(
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))
         shown = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
-        ancestor = dotted
-        while ancestor and ancestor not in origin:
-            ancestor = ancestor.rpartition(".")[0]
-        where = origin.get(ancestor, source)
         message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
-        problems.append(Problem(where, f"{prefix}{shown}" if dotted else "", message))
+        problems.append(Problem(_where(dotted, origin, source), f"{prefix}{shown}" if dotted else "", message))
     if len(faults) > _PROBLEMS_MAX:
         problems.append(Problem(source, "", f"{len(faults) - _PROBLEMS_MAX} more errors"))
     return problems
+
+
+def _where(key: str, origin: Mapping[str, str], source: str) -> str:
+    """Return the file or option that set ``key``, or all that is in it, or the table that has it; else ``source``."""
+    within = {each for name, each in origin.items() if name.startswith(f"{key}.")} if key not in origin else set()
+    if len(within) == 1:
+        return within.pop()
+    while key and key not in origin:
+        key = key.rpartition(".")[0]
+    return origin.get(key, source)
 
 
 def _of_one_type(faults: Sequence[Any], table: Table) -> list[Any]:

@@ -231,7 +231,7 @@ def firings(history: np.ndarray, scenario: Scenario) -> Figure:
         on = np.concatenate([[0], history["command"]["on"][:, number - 1], [0]])
         begins, ends = np.flatnonzero(np.diff(on) == 1), np.flatnonzero(np.diff(on) == -1)
         spans = [(t_s[a], max(step_s, t_s[b - 1] - t_s[a] + step_s)) for a, b in zip(begins, ends, strict=True)]
-        raster.broken_barh(spans, (number - 0.4, 0.8), color=COLOURS[(number - 1) % 3], linewidth=0.5)
+        raster.broken_barh(spans, (number - 0.4, 0.8), color=COLOURS[0], linewidth=0.5)
     raster.set_ylim(0.3, n + 0.7)
     raster.set_yticks(range(1, n + 1))
     raster.tick_params(axis="y", labelsize=8)
