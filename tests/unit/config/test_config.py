@@ -179,6 +179,11 @@ def test_tables_that_contradict_themselves_are_refused(write: Write, text: str, 
     assert message in scenario_problems(write(text))[key].message
 
 
+def test_table_that_no_file_has_is_of_the_option_that_set_it() -> None:
+    with pytest.raises(BadInput, match=r"^--set: foo: unknown key: known here: bench, "):
+        load_scenario("scheme-1", ("foo.bar=1",))
+
+
 def test_unknown_scenario_is_answered_with_the_known_ones() -> None:
     with pytest.raises(
         BadInput, match=r"scheme-9: unknown scenario: did you mean scheme-3.* give .*scheme-1, .*scheme-2, .*scheme-3"
