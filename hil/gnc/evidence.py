@@ -118,20 +118,56 @@ def names_imu(evidence):
 
 
 @kernel
-def _failed(evidence, j, opens, k):
-    """Return the thrust in row ``k`` that thruster ``j`` has not as expected, if it is open or else dead."""
-    expected = evidence.thrust[_row(evidence, k), j]
-    return 1.0 - expected if opens else -expected
+def _write_failed(evidence, signature, j, opens, x):
+    """Write the thrust that thruster ``j``, open or else dead, has not as expected in each row, ``x`` (ROWS, 6)."""
+    for k in range(evidence.n):
+        expected = evidence.thrust[_row(evidence, k), j]
+        for i in range(6):
+            x[k, i] = (1.0 - expected if opens else -expected) * signature[j, i]
+
+
+@kernel
+def _write_late(evidence, signature, x):
+    """Write the thrust beyond the expected one if all that fire in a row stay open in it, ``x`` (ROWS, 6)."""
+    fill_matrix(x, 0.0)
+    for k in range(evidence.n):
+        for j in range(signature.shape[0]):
+            expected = evidence.thrust[_row(evidence, k), j]
+            for i in range(6):
+                x[k, i] += (1.0 - expected if expected > 0.0 else 0.0) * signature[j, i]
+
+
+@kernel
+def _gain(evidence, x, back, least, before, y):
+    """Return what ``x`` (ROWS, 6), since ``back`` rows, explains of ``before``, what a swing leaves.
+
+    least: fraction of ``x`` below which it explains nothing. y: (ROWS,), scratch.
+    """
+    product, size, gain, n = 0.0, 0.0, 0.0, evidence.n
+    for k in range(n - back, n):
+        for i in range(6):
+            product += evidence.residual[_row(evidence, k), i] * x[k, i]
+            size += x[k, i] ** 2
+    if product < least * size or size == 0.0:
+        return 0.0
+    for i in range(6):
+        for k in range(n):
+            y[k] = evidence.residual[_row(evidence, k), i]
+            if k >= n - back:
+                y[k] -= min(1.0, product / size) * x[k, i]
+        gain += before[i] - _unpredicted(y, n)
+    return gain
 
 
 @entry
 def names_thruster(evidence, signature, j, opens):
-    """Return whether thruster ``j``, open or else dead, explains what a swing leaves; signature: (6,), of its thrust.
+    """Return whether thruster ``j``, open or else dead, explains what a swing leaves; signature: (n, 6), of each.
 
-    It stands out, or explains most of that. It may have failed any number of rows ago, from 2 on. A run that has just
-    begun has no swing yet.
+    It stands out, or explains most of that, and more than valves that close late do. It may have failed any number of
+    rows ago, from 2 on. A run that has just begun has no swing yet.
     """
-    y, before, n, best, back, total = stack.vector(ROWS), stack.vector(6), evidence.n, 0.0, 2, 0.0
+    y, before, n, best, late, back, total = stack.vector(ROWS), stack.vector(6), evidence.n, 0.0, 0.0, 2, 0.0
+    failed, closing = stack.matrix(ROWS, 6), stack.matrix(ROWS, 6)
     if n <= 2 * _ORDER:
         return True
     for i in range(6):
@@ -139,19 +175,10 @@ def names_thruster(evidence, signature, j, opens):
             y[k] = evidence.residual[_row(evidence, k), i]
         before[i] = _unpredicted(y, n)
         total += before[i]
+    _write_failed(evidence, signature, j, opens, failed)
+    _write_late(evidence, signature, closing)
     while back <= n:
-        product, size, gain = 0.0, 0.0, 0.0
-        for k in range(n - back, n):
-            part = _failed(evidence, j, opens, k)
-            for i in range(6):
-                product += evidence.residual[_row(evidence, k), i] * part * signature[i]
-                size += (part * signature[i]) ** 2
-        if product >= _THRUST_MIN * size:
-            for i in range(6):
-                for k in range(n):
-                    y[k] = evidence.residual[_row(evidence, k), i]
-                for k in range(n - back, n):
-                    y[k] -= min(1.0, product / size) * _failed(evidence, j, opens, k) * signature[i]
-                gain += before[i] - _unpredicted(y, n)
-        best, back = max(best, gain), back + max(1, back // 4)
-    return best > min(2.0 * _SIGMA**2 * _STANDS_OUT, _MOST * total)
+        best = max(best, _gain(evidence, failed, back, _THRUST_MIN, before, y))
+        late = max(late, _gain(evidence, closing, back, 0.0, before, y))
+        back += max(1, back // 4)
+    return best > max(late, min(2.0 * _SIGMA**2 * _STANDS_OUT, _MOST * total))

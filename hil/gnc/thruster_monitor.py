@@ -42,7 +42,7 @@ _TIE = 0.95  # of the largest square explained: as good an explanation
 _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
 _REPEATS_MAX = 10  # cycles, of readings that seldom repeat themselves
-_BY_CHANCE = -23.0  # logarithm of the probability of as many repetitions by a quantum that the GNC does not have
+_BY_CHANCE = -35.0  # logarithm of the probability of as many repetitions by a quantum that the GNC does not have
 _WITHHELD = 8  # cycles: enough to find either of two
 DELAYS: Final = 8
 """Valve delays that are compared, in cycles from 0."""
@@ -247,7 +247,7 @@ def _note_jump(params, state, residual, odd):
 def _accuse_thruster(params, state, fault, thruster):
     """Accuse a thruster of ``fault`` if the evidence names it."""
     state.unnamed = 1
-    if evidence.names_thruster(state.evidence, params.signature[thruster], thruster, fault == STUCK_OPEN):
+    if evidence.names_thruster(state.evidence, params.signature[: params.n], thruster, fault == STUCK_OPEN):
         state.fault, state.thruster = fault, thruster
 
 

@@ -59,7 +59,9 @@ def test_small_residuals_name_nothing_and_the_oldest_are_forgotten(rng: np.rando
     assert not weighed(lambda t_s: wrong if t_s < 1.0 else np.zeros(6), window_s + 2.0)
 
 
-SIGNATURE = np.array([-1.0, 0.0, 0.0, 0.0, -0.8, 0.0])
+SIGNATURES = np.zeros((16, 6))
+SIGNATURE = SIGNATURES[9] = np.array([-1.0, 0.0, 0.0, 0.0, -0.8, 0.0])
+SIGNATURES[0] = np.array([-1.0, 0.0, 0.0, 0.0, 0.8, 0.0])  # fires with the other for a force without a torque
 
 
 @pytest.mark.parametrize("opens", [True, False])
@@ -77,6 +79,16 @@ def test_thruster_that_fails_is_named_on_a_chaser_that_swings_and_one_that_does_
         if t_s >= failed_s:
             residual += SIGNATURE * (1.0 - thrust[9] if opens else -thrust[9])
         evidence.keep(state, residual, thrust, 16, False)
-        named = evidence.names_thruster(state, SIGNATURE, 9, opens)
+        named = evidence.names_thruster(state, SIGNATURES, 9, opens)
         assert not named or t_s >= failed_s or state.n <= 8
     assert named
+
+
+def test_valves_of_a_pair_that_close_late_are_none_that_is_open(rng: np.random.Generator) -> None:
+    state, thrust = new(EVIDENCE_STATE), np.zeros(16)
+    for cycle in range(round(13.0 / STEP_S)):
+        thrust[0] = thrust[9] = 1.0 if cycle % 8 < 5 else 0.0
+        late = 0.7 if cycle % 8 == 5 else 0.0
+        residual = 0.02 * rng.standard_normal(6) + late * (SIGNATURES[0] + SIGNATURES[9])
+        evidence.keep(state, residual, thrust, 16, False)
+    assert not evidence.names_thruster(state, SIGNATURES, 9, True)
