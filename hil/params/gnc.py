@@ -106,6 +106,7 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.ring = 2 ** (scenario.memory_steps - 1).bit_length() - 1
     fusion.noise_scale = scenario.gnc.navigation.noise_scale
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
+    fusion.planar = scenario.chaser.planar
     fusion.orbit = target_orbit(scenario)
     fusion.close_after, fusion.reopen_after = gnc.integrity.close_after, gnc.integrity.reopen_after
     akf = fusion.akf

@@ -54,6 +54,8 @@ class NavigationBound:
         turned = radians(budget.vision_misalignment_sigma_deg)
         self._constant = square(np.array([budget.vision_bias_sigma_m, [turned] * 3]))
         self._per_range = square(np.array([budget.vision_scale_sigma, turned, turned]))
+        # a plane holds the other components
+        self._free = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) if scenario.chaser.planar else np.ones((2, 3))
         self._p: Array | None = None
         self._last_s = 0.0
         self._sums = {True: np.zeros((2, 3)), False: np.zeros((2, 3))}  # after and before ``settled_s``
@@ -96,7 +98,7 @@ class NavigationBound:
         span = self._time_s[True] > 0.0
         if self._time_s[span] == 0.0:
             return None
-        values: list[float] = np.sqrt(self._sums[span][k] / self._time_s[span]).tolist()
+        values: list[float] = np.sqrt(self._free[k] * self._sums[span][k] / self._time_s[span]).tolist()
         return values
 
     def rows(self) -> dict[str, Any]:

@@ -191,8 +191,8 @@ class NavigationResults(Results):
         "[3], Cramér-Rao bound with these poses, this IMU and the error budget, whatever GNC is flown"
     )
     attitude_bound_deg: Vector | None = row("[3], the same of the attitude")
-    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, settled, 9 states", _TWO)
-    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, settled, 6 states", _TWO)
+    nees_pkf: float | None = row("mean NEES; 9 if consistent, 7 in the plane", "mean NEES position, settled", _TWO)
+    nees_akf: float | None = row("mean NEES; 6 if consistent, 4 in the plane", "mean NEES attitude, settled", _TWO)
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:

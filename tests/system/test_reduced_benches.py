@@ -60,6 +60,46 @@ def test_planar_scenario_is_flown_in_the_plane() -> None:
     command = run.history["command"]
     assert not command["force"][:, 1].any()
     assert not command["torque"][:, [0, 2]].any()
+    estimate = run.history["navigation"]
+    for name, sigma, held in (("r_CT_H", "sigma_r_m", [1]), ("v_CT_H", "sigma_v_mps", [1]),
+                              ("q_CH", "sigma_attitude_rad", [0, 2])):  # fmt: skip
+        assert not estimate[name][:, held].any()
+        assert not np.nan_to_num(estimate[sigma][:, held]).any()
+    assert not estimate["w_CH_C"][:, [0, 2]].any()
+    assert estimate["sigma_r_m"][-1, [0, 2]].all()
+    assert run.nees().states == (7, 4)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        ([0.015, 0.0, 0.0], "poses stay on one side of it"),
+        ([0.06, 0.0, 0.0], "along y, "),
+    ],
+)
+def test_pose_that_contradicts_the_plane_is_reported(error: list[float], text: str) -> None:
+    run = hil.run("planar", "mock-planar", 1, 30.0, {"vmu.errors.bias_m": error})
+    (said,) = (event.text for event in run.events if event.source == "vmu")
+    assert said.startswith("measures another plane than the x-z plane of H")
+    assert text in said
+
+
+def test_tumble_in_the_plane_is_estimated() -> None:
+    tumble = {
+        "truth.relative_motion": "nonlinear",
+        "initial.position_m": [3.0, 0.0, 0.1],
+        "target.motion": "tumble",
+        "target.rate_degps": [0.0, 0.5, 0.0],
+        "target.moments_kg_m2": [2000.0, 3000.0, 3500.0],
+        "gnc.guidance.acceleration_mps2": 0.003,
+        "gnc.guidance.deceleration_mps2": 0.003,
+        "gnc.abort.hold_distance_m": 3.0,
+        "gnc.abort.acceleration_mps2": 0.003,
+    }
+    run = hil.run("planar", "mock-planar", 1, 120.0, tumble)
+    assert run.stop == "completed"
+    assert not run.history["navigation"]["r_CT_H"][:, 1].any()
+    assert run.summary["navigation"]["position_rmse_m"][0] < 0.003
 
 
 @pytest.mark.parametrize(
