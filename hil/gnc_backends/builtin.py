@@ -6,6 +6,8 @@ instances, their addresses in the state of the GNC, their texts and failures.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.core.gnc_records import GNC_SETUP
@@ -15,7 +17,7 @@ from hil.core.observable import ObservableList
 from hil.gnc import step, thruster_monitor
 from hil.gnc.estimation import navigation
 from hil.gnc.estimation.filter_monitor import FilterMonitor
-from hil.gnc.estimation.plane import HELD_INNOVATIONS
+from hil.gnc.estimation.plane import is_held_innovation
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.backend import Backends
 from hil.gnc_backends.base import Poses, Records
@@ -47,7 +49,7 @@ class BuiltinGnc(CompiledGnc):
         self._orbit = kernel_record(self.params.navigation.fusion.orbit)
         self.filter_monitor: FilterMonitor = filter_monitor
         self._nees = np.empty(2)
-        self._watches_plane = bool(self.params.navigation.fusion.planar)
+        self._plane = int(self.params.navigation.fusion.held)
         self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False
         """Whether the filters took a pose in the last cycle."""
@@ -84,15 +86,14 @@ class BuiltinGnc(CompiledGnc):
         """Log the progress, new texts of backends, and once that poses contradict the plane that holds the chaser."""
         super().log_step(t_s, before, supervision)
         off, integrity = self.state.navigation.fusion.off_plane, self.state.navigation.integrity
-        is_biased = integrity.biased and integrity.worst_of in HELD_INNOVATIONS
-        if not self._watches_plane or not (off.sigmas or is_biased):
+        is_biased = integrity.biased and integrity.worst_of < 6 and is_held_innovation(self._plane, integrity.worst_of)
+        if not self._plane or not (off.sigmas or is_biased):
             return
-        self._watches_plane, text = False, "poses stay on one side of it"
+        self._plane, text = 0, "poses stay on one side of it"
         if off.sigmas:
-            about_x, _, about_z = np.degrees(off.about)
-            text = f"the pose of {off.t_s:.2f} s is {off.along_y:.3f} m along y, {about_x:.2f} deg about x and "
-            text += f"{about_z:.2f} deg about z out of it, up to {off.sigmas:.1f} sigma"
-        text = f"measures another plane than the x-z plane of H, in which chaser.planar holds the chaser: {text}"
+            text = f"the pose of {off.t_s:.2f} s is {off.across:.3f} m and {math.degrees(off.tilt):.2f} deg out of it, "
+            text += f"up to {off.sigmas:.1f} sigma"
+        text = f"measures another plane than that in which chaser.planar holds the chaser: {text}"
         self.filter_monitor.events.append(Event(t_s, "vmu", text))
 
     def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:

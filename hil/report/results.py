@@ -132,6 +132,10 @@ class Energy(PartResults):
     impulsive_bound_kg: float | None = row("propellant of them and of the slews")
     factor: float = row("allowed multiple of the least propellant")
     firings: int = row("firings of all thrusters")
+    held_back_mps2: float | None = row(
+        "largest acceleration that the plane of a planar chaser holds back; null without"
+    )
+    held_back_mps: float | None = row("its integral, which no thruster has to give")
 
 
 class FieldOfViewResults(PartResults):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 import hil
 from hil.cli.main import execute
+from hil.config.load import load_scenario
 from hil.session import build
 from tests.support.lab_benches import BENCHES, rig_file
 from tests.support.rows import assert_same_bits
@@ -74,13 +76,13 @@ def test_planar_scenario_is_flown_in_the_plane() -> None:
     ("error", "text"),
     [
         ([0.015, 0.0, 0.0], "poses stay on one side of it"),
-        ([0.06, 0.0, 0.0], "along y, "),
+        ([0.06, 0.0, 0.0], "out of it, up to "),
     ],
 )
 def test_pose_that_contradicts_the_plane_is_reported(error: list[float], text: str) -> None:
     run = hil.run("planar", "mock-planar", 1, 30.0, {"vmu.errors.bias_m": error})
     (said,) = (event.text for event in run.events if event.source == "vmu")
-    assert said.startswith("measures another plane than the x-z plane of H")
+    assert said.startswith("measures another plane than that in which chaser.planar holds")
     assert text in said
 
 
@@ -115,7 +117,33 @@ def test_planar_vehicle_stays_in_the_plane(setting: str, text: str, capsys: pyte
     assert execute(["run", "planar", "--rig", "mock-planar", "--set", setting]) == 2
     shown = " ".join(capsys.readouterr().err.split())
     assert text in shown
-    assert "another plane would hold back up to 4.9e-05 m/s2, 2 w v at 0.03 m/s" in shown
+
+
+def test_what_another_plane_holds_back_is_reported_before_the_run_and_in_the_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "xy.toml"
+    turned = {
+        key: [[x, -z, y] for x, y, z in getattr(load_scenario("planar").value.chaser.thrusters, key)]
+        for key in ("position_m", "direction")
+    }
+    scenario.write_text(
+        'extends = "planar"\nname = "xy"\n[initial]\nposition_m = [5.0, 0.3, 0.0]\nattitude_deg = [0.0, 0.0, 3.0]\n'
+        '[chaser]\nplane = "xy"\n[chaser.thrusters]\n' + "".join(f"{key} = {rows}\n" for key, rows in turned.items())
+    )
+    rig = tmp_path / "level.toml"
+    rig.write_text(
+        'extends = "mock"\nname = "level"\n[bench]\nlever_arm_m = [0.0, 0.0, 0.0]\n'
+        "[rails]\nz.fixed_m = 0.0\n[turntable]\nroll.fixed_deg = 0.0\npitch.fixed_deg = 0.0\n"
+    )
+    out = tmp_path / "run.json"
+    assert execute(["run", str(scenario), "--rig", str(rig), "--json", str(out)]) == 0
+    shown = capsys.readouterr()
+    line = "the plane holds back up to 4.9e-05 m/s2, 0.0074 m/s in all, which no thruster gives"
+    assert line in " ".join(shown.err.split())
+    energy = json.loads(out.read_text())["verdict"]["energy"]
+    assert energy["held_back_mps2"] == pytest.approx(4.9e-5, rel=0.1)
+    assert energy["held_back_mps"] == pytest.approx(0.0074, rel=0.1)
 
 
 @pytest.mark.parametrize(

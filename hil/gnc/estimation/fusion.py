@@ -56,7 +56,7 @@ FUSION_PARAMS = np.dtype(
         ("ring", "i8"),  # the same rounded up to a power of two, less 1: of the addresses
         ("noise_scale", "f8"),  # of the standard deviations that poses report
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
-        ("planar", "i8"),  # 1: the chaser is held in the x-z plane of H
+        ("held", "i8"),  # axis of H along which a planar chaser is held: 1 x, 2 y, 3 z; 0: none
         ("orbit", TARGET_ORBIT),
         ("close_after", "i8"),  # consecutive rejections
         ("reopen_after", "i8"),  # consecutive poses that agree
@@ -170,8 +170,8 @@ def _predict(params, state, step):
         body_frame.leave_middle(axes, filters, errors.n, errors.target_rate)
         if errors.target_rate != 0:
             target_motion.carry_errors(params.orbit, errors, params.akf.dt_s, filters)
-    if params.planar != 0:
-        plane.hold(errors, filters)
+    if params.held != 0:
+        plane.hold(params.held, errors, filters)
 
 
 @kernel
@@ -205,8 +205,8 @@ def _add_jump(params, state, z, delta_s):
         if state.thrust.without_imu == 1:
             filters.p[V + i, V + i] += (jump / _DIVERGED_S) ** 2
         state.jump_m[i] = max(state.jump_m[i], abs(jump))
-    if params.planar != 0:
-        plane.hold(params.errors, filters)
+    if params.held != 0:
+        plane.hold(params.held, params.errors, filters)
 
 
 @kernel
@@ -355,7 +355,7 @@ def _count(params, state, pose, result, nis_attitude, nis_position):
             state.interval_s = mean_interval(state.interval_s, pose.t_s - state.last_accepted_s)
             state.last_accepted_s = pose.t_s
     state.rejected_in_a_row = 0 if result >= ACCEPTED else state.rejected_in_a_row + 1
-    if params.planar != 0 and result < ACCEPTED:
+    if params.held != 0 and result < ACCEPTED:
         plane.note_contradiction(params, state, pose)
 
 

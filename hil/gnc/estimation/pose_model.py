@@ -167,8 +167,8 @@ def start(params, pose, noise, filters):
             p[i, m] = p[m, i] = response[i, m] * variance
             for j in range(FILTER_ERRORS):
                 p[i, j] += response[i, m] * variance * response[j, m]
-    if params.planar != 0:
-        plane.hold(errors, filters)
+    if params.held != 0:
+        plane.hold(params.held, errors, filters)
 
 
 @kernel
