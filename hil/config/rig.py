@@ -103,7 +103,7 @@ class BenchGeometry(ConfigModel):
 
     @model_validator(mode="after")
     def _bodies_can_meet(self) -> Self:
-        check_kinds(self.bodies, "lab")
+        check_kinds(self.bodies, "lab", "target")
         return self
 
     @model_validator(mode="after")

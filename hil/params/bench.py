@@ -209,6 +209,21 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     return guard
 
 
+def target_guards(rig: Rig, scenario: Scenario) -> tuple[np.record, np.record] | None:
+    """Return GUARD of chaser's rig against the bodies that move with the target, and of these against the lab.
+
+    The first one is for the axes relative to those of the target, at what both brake with at least. None without any.
+    """
+    carried = bodies(rig.bench.bodies, "target")
+    if rig.shared_rails is None or not carried.n:
+        return None
+    of_chaser, of_target = axis_guard(rig, scenario), axis_guard(rig, scenario)
+    of_chaser.lab, of_target.carriage, of_target.turntable.n = carried, carried, 0
+    of_target.deceleration = _decelerations(manipulator_limits(rig, scenario.step_s))[0]
+    of_chaser.deceleration = min(of_chaser.deceleration, of_target.deceleration)
+    return of_chaser, of_target
+
+
 def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return BENCH_GUARD_PARAMS."""
     config, step_s = rig.guard, scenario.step_s
