@@ -127,6 +127,19 @@ def test_what_carries_the_target_stays_apart_from_chaser_and_lab(
     assert not pair or f"bench.bodies {pair}" in run.stop
 
 
+def test_target_on_rails_and_gimbals_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "both.toml"
+    rig.write_text(
+        f'extends = "{RIG}"\nname = "both"\n[rotary_manipulator]\ndriver = "mock"\n'
+        "servo = { gain_per_s = 30.0, lag_s = 0.006 }\n"
+        "yaw = { travel_deg = [-170.0, 170.0], rate_max_degps = 10.0, acceleration_max_degps2 = 5.0 }\n"
+    )
+    assert execute(["run", "planar", "--rig", str(rig)]) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "gimbals and rails of target_manipulator do not move the target together" in shown
+    assert "go to held_axes.NAME" in shown
+
+
 def test_body_of_the_target_requires_that_it_moves(capsys: pytest.CaptureFixture[str]) -> None:
     bodies = "rig.bench.bodies=[{on='target', vertices_m=[[0,0,0],[1,0,0],[0,1,0],[0,0,1]]}, "
     bodies += "{on='lab', vertices_m=[[5,0,0],[6,0,0],[5,1,0],[5,0,1]]}]"
