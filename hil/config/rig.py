@@ -1043,7 +1043,7 @@ class Rig(FileTable):
         if self.moved_target is not None and self.rotated_target is not None:
             raise ValueError(
                 "rotary_manipulator.driver: gimbals and rails of target_manipulator do not move the target together, "
-                'allowed "none"; rails that stand in a run go to held_axes.NAME'
+                'allowed "none"; rails that stand in a run are linear_axes.NAME'
             )
         return self
 

@@ -12,6 +12,7 @@ import pytest
 import hil
 from hil.cli.main import execute
 from hil.config.load import load_scenario
+from hil.errors import BadInput
 from hil.session import build
 from tests.support.lab_benches import BENCHES, rig_file
 from tests.support.rows import assert_same_bits
@@ -171,3 +172,26 @@ def test_planar_recording_is_replayed_to_the_bit(tmp_path: Path) -> None:
     hil.run("planar", "mock-planar", 1, 10.0, record=tmp_path)
     (recording,) = tmp_path.glob("*.mcap")
     assert execute(["replay", str(recording)]) == 0
+
+
+PLANE_OF_A_LAB = """extends = "emulated-planar"
+name = "lab"
+[rotary_manipulator]
+driver = "cia402"
+servo = { gain_per_s = 30.0, lag_s = 0.006 }
+pitch = { travel_deg = [-80.0, 80.0], rate_max_degps = 10.0, acceleration_max_degps2 = 5.0 }
+[vmu]
+driver = "udp"
+[io]
+driver = "none"
+"""
+"""Two rails, a table and a target of one axis, a camera of its own, no coupler."""
+
+
+def test_plane_with_a_target_on_one_axis_runs_in_lock_step(tmp_path: Path) -> None:
+    rig = tmp_path / "lab.toml"
+    rig.write_text(PLANE_OF_A_LAB)
+    with pytest.raises(BadInput, match=r"rig\.rotary_manipulator: cia402: is missing, the table of its bus"):
+        hil.run("planar", str(rig), 1, 1.0, LOCK_STEP)
+    rig.write_text(PLANE_OF_A_LAB + '[rotary_manipulator.cia402]\ninterface = "serial"\nnode_ids = [1]\n')
+    assert hil.run("planar", str(rig), 1, 1.0, LOCK_STEP).stop == "completed"

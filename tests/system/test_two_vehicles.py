@@ -137,7 +137,7 @@ def test_target_on_rails_and_gimbals_is_refused(tmp_path: Path, capsys: pytest.C
     assert execute(["run", "planar", "--rig", str(rig)]) == 2
     shown = " ".join(capsys.readouterr().err.split())
     assert "gimbals and rails of target_manipulator do not move the target together" in shown
-    assert "go to held_axes.NAME" in shown
+    assert "are linear_axes.NAME" in shown
 
 
 def test_body_of_the_target_requires_that_it_moves(capsys: pytest.CaptureFixture[str]) -> None:
