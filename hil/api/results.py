@@ -260,7 +260,7 @@ class Run:
         """
         if not 0.0 < probability < 1.0:
             raise BadInput.single("probability", "", f"{probability:g}: must be above 0 and below 1")
-        nees = nees_of(self.history, probability)
+        nees = nees_of(self.history, self.scenario.chaser.planar, probability)
         if not len(nees.t_s):
             raise BadInput.single(self._source(), "", "has no NEES: no pose, or a filter without covariance")
         return nees

@@ -32,7 +32,8 @@ GUARD = np.dtype(
         ("arm", "f8", 3),  # m, in c, from the turntable's centre of rotation to the chaser's reference point
         ("arm_length", "f8"),  # m
         ("carriage", BODIES),  # that move with the rails, in L about the turntable's centre of rotation
-        ("turntable", BODIES),  # that rotate as well, in c about the same centre
+        ("turntable", BODIES),  # that rotate as well, in c about the same centre; low and high at ``rest``
+        ("rest", "f8", 3),  # rad, gimbals that are fixed, others at 0
         ("lab", BODIES),  # that stand still, in L
         ("distance", "f8"),  # m, least one between bodies
         ("reaction_s", "f8"),
@@ -107,9 +108,10 @@ def enters_volume(guard, axes, breach):
     """
     if guard.homed == 0:
         return NOTHING
-    angle, rate, speed, along = 0.0, 0.0, 0.0, 0.0
+    angle, turned, rate, speed, along = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(3):
         angle += abs(axes.gimbal_rad[i])
+        turned += abs(axes.gimbal_rad[i] - guard.rest[i])
         rate += abs(axes.gimbal_radps[i])
         speed += abs(axes.rail_mps[i])
         along += guard.zone.axis[i] * (axes.rail_m[i] + guard.arm[i])
@@ -118,7 +120,7 @@ def enters_volume(guard, axes, breach):
     # sums bound angles and speeds: far from the volume neither attitude nor distances are computed
     least = guard.distance + farthest
     is_apart = are_apart(guard.carriage, axes.rail_m, 0.0, guard.lab, least) and are_apart(
-        guard.turntable, axes.rail_m, rotation, guard.lab, least
+        guard.turntable, axes.rail_m, turned + turning, guard.lab, least
     )
     if not is_apart and _bench_meets(guard, axes, breach):
         return COLLISION

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ import numpy as np
 from hil.bench.guard import GUARD
 from hil.bench.kinematics import axes_of_pose
 from hil.checks.planned_trajectory import PlanSample, moments
-from hil.checks.reachability import position_margin
+from hil.checks.reachability import axis_demands, position_margin
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -48,10 +50,20 @@ def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         nearest = _Nearest(scenario.value, _chaser(scenario.value), scenario.value.gnc.abort.brake_mps2)
         problems += _problem(scenario, plan, nearest, "keep_out.bodies", scenario.value.keep_out.distance_m)
     if of_bench:
-        guard = bench_params.axis_guard(rig.value, scenario.value)
-        arm = np.array(rig.value.bench.lever_arm_m)
-        nearest = _Nearest(scenario.value, guard, float(guard.deceleration), arm, _lab_of(scenario.value, rig.value))
-        problems += _problem(scenario, plan, nearest, "rig.bench.bodies", rig.value.bench.bodies_distance_m)
+        guard, arm = bench_params.axis_guard(rig.value, scenario.value), np.array(rig.value.bench.lever_arm_m)
+        shown, to_L = _lab_of(scenario.value, rig.value), np.array(rig.value.bench.lab_axes)
+        of_target = bench_params.target_guards(rig.value, scenario.value)
+        left = plan if rig.value.shared_rails is None else axis_demands(scenario.value, rig.value).plan
+        parts = [(left, guard, arm, shown)]
+        if of_target is not None:
+            moves = [
+                replace(rest, r_CT_H=rest.r_CT_H - whole.r_CT_H, v_CT_H=rest.v_CT_H - whole.v_CT_H)
+                for rest, whole in zip(left, plan, strict=True)
+            ]
+            parts += [(plan, of_target[0], arm, shown), (moves, of_target[1], np.zeros(3), partial(_in_lab, to_L))]
+        for each, bodies, lever, to_lab in parts:
+            nearest = _Nearest(scenario.value, bodies, float(bodies.deceleration), lever, to_lab)
+            problems += _problem(scenario, each, nearest, "rig.bench.bodies", rig.value.bench.bodies_distance_m)
     return problems
 
 
@@ -77,6 +89,11 @@ def _lab_of(scenario: Scenario, rig: Rig) -> Callable[[_Points], _Points] | None
         return points._replace(r=r, q=q, v=v)
 
     return shown
+
+
+def _in_lab(to_L: Array, points: _Points) -> _Points:
+    """Return ``points`` in H in the axes of L, whose rows in H are ``to_L``."""
+    return points._replace(r=linear.product(points.r, to_L.T), v=linear.product(points.v, to_L.T))
 
 
 class _Nearest:

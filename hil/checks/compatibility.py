@@ -83,7 +83,9 @@ def _check_sharing(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
     """Return the problems of a target on rails that move: scaled distances, a keep-out that grows too far."""
     rails, value = rig.value.shared_rails, scenario.value
     if rails is None:
-        return []
+        where, key = rig.where("bench.bodies"), "rig.bench.bodies"
+        text = 'on = "target" requires target_manipulator.sharing, allowed "lab"'
+        return [Problem(where, key, text) for body in rig.value.bench.bodies if body.on == "target"][:1]
     if value.bench.scaled_beyond_m is not None:
         key, text = "bench.scaled_beyond_m", "does not go with target_manipulator.sharing, allowed none"
         return [scenario.problem(key, f"{value.bench.scaled_beyond_m:g}: {text}")]

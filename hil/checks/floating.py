@@ -16,6 +16,7 @@ def check_floating(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
     value = scenario.value
     simulated = [family for family in ("imu", "axis") if any(fault.family == family for fault in value.faults)]
     wrong = {
+        "chaser.plane": (f'"{value.chaser.plane}"', '"xz"') if value.chaser.plane != "xz" else None,
         "chaser.planar": ("false", "true: it floats in the x-z plane of H") if not value.chaser.planar else None,
         "truth.relative_motion": (f'"{value.truth.relative_motion}"', '"free": a level floor has no field')
         if value.truth.relative_motion != "free"

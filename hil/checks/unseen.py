@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from hil.bench.kinematics import unseen
+from hil.checks.planned_trajectory import moments
 from hil.checks.reachability import axis_demands
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, new
 from hil.maths import quat
 from hil.params import bench as bench_params
+from hil.params.dynamics import initial_truth
+from hil.params.held_back import STEP_S, HeldBack, held_back_text
 
 
 def unseen_plan(scenario: Scenario, rig: Rig) -> Array:
@@ -27,9 +31,9 @@ def unseen_plan(scenario: Scenario, rig: Rig) -> Array:
 
 
 def unseen_warnings(scenario: Scenario, rig: Rig) -> list[str]:
-    """Return a line with what the bench does not show of the plan, and one per robot with what its lag costs."""
+    """Return lines with what a plane holds back, what the bench does not show of the plan, and what lag costs."""
     try:
-        late = lag_lines(scenario, rig) if rig.robots else []
+        late = [*held_back_lines(scenario), *(lag_lines(scenario, rig) if rig.robots else [])]
         if not rig.hidden:
             return late
         largest = unseen_plan(scenario, rig)
@@ -40,6 +44,23 @@ def unseen_warnings(scenario: Scenario, rig: Rig) -> list[str]:
         f"{rig.name} has no drive for {', '.join(rig.hidden)}: of the plan it does not show {unseen_text(largest)}; "
         "the vision unit does not see that motion, the IMU and the verdict have it",
     ]
+
+
+def held_back_lines(scenario: Scenario) -> list[str]:
+    """Return a line with the acceleration across the plane of a planar chaser along its plan, if there is any."""
+    if not scenario.chaser.planar or scenario.truth.relative_motion == "free":
+        return []
+    plan = [moment for moment in moments(scenario) if moment.abort_s is None]
+    t_s = np.arange(0.0, scenario.duration_s, STEP_S)
+    r, v = (
+        np.array([np.interp(t_s, [m.t_s for m in plan], [getattr(m, name)[k] for m in plan]) for k in range(3)]).T
+        for name in ("r_CT_H", "v_CT_H")
+    )
+    held, truth = HeldBack(scenario), kernel_record(initial_truth(scenario))
+    for place, velocity in zip(r, v, strict=True):
+        truth.r_CT_H, truth.v_CT_H = place, velocity
+        held.add(truth)
+    return [text] if (text := held_back_text(held.largest_mps2, held.impulse_mps)) else []
 
 
 def lag_lines(scenario: Scenario, rig: Rig) -> list[str]:

@@ -19,6 +19,7 @@ from hil.core.messages import REFERENCE, Array, new
 from hil.dynamics.hill import hill_acceleration
 from hil.errors import Problem
 from hil.gnc import guidance
+from hil.gnc.allocation import axes_in_plane
 from hil.gnc.approach_monitor import closing_limit, closing_margin, corridor_margin
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import linear, quat
@@ -102,6 +103,7 @@ def _samples(scenario: Scenario, interval_s: float | None) -> Iterator[_Sample]:
     """Yield samples of the plan in order: every ``interval_s``, or a few of each phase, its begin and its end."""
     params, settings = gnc_params.guidance(scenario), scenario.gnc.guidance
     state, reference, free, w0 = new(GUIDANCE_STATE), new(REFERENCE), np.empty(3), float(params.orbit.mean_motion)
+    moves = np.isin(range(3), axes_in_plane(scenario.chaser.held))
     guidance.start(params, state)
     while True:
         begin, end = float(state.since_s), float(state.ends_s)
@@ -117,7 +119,7 @@ def _samples(scenario: Scenario, interval_s: float | None) -> Iterator[_Sample]:
             rotation = quat.to_matrix(reference.q_CH)
             yield _Sample(
                 t_s, settings.sequence[int(state.phase)], reference.r_CT_H.copy(), reference.v_CT_H.copy(),
-                linear.product(rotation, reference.a_CT_H - free), rotation, reference.from_H.copy(),
+                moves * linear.product(rotation, reference.a_CT_H - free), rotation, reference.from_H.copy(),
                 reference.to_H.copy(),
             )  # fmt: skip
         go = 1 if guidance.kind_of(params, state.phase) == guidance.WAIT else 0

@@ -182,7 +182,7 @@ def _size(value: float | None) -> str:
 def _print_navigation(errors: dict[str, Any]) -> None:
     both = ("recorded", "replayed")
     rows = [(f"{label}, {unit}", *(_three(errors[w][key], scale) for w in both)) for key, label, unit, scale in _ROWS]
-    for key, label in (("nees_pkf", "mean NEES, 9 states"), ("nees_akf", "mean NEES, 6 states")):
+    for key, label in (("nees_pkf", "mean NEES, position"), ("nees_akf", "mean NEES, attitude")):
         values = [errors[which][key] for which in both]
         rows.append((label, *("-" if value is None else f"{value:.2f}" for value in values)))
     print_columns(("estimate against truth, x y z", *both), rows)

@@ -103,7 +103,7 @@ class BenchGeometry(ConfigModel):
 
     @model_validator(mode="after")
     def _bodies_can_meet(self) -> Self:
-        check_kinds(self.bodies, "lab")
+        check_kinds(self.bodies, "lab", "target")
         return self
 
     @model_validator(mode="after")
@@ -1041,7 +1041,10 @@ class Rig(FileTable):
     @model_validator(mode="after")
     def _one_thing_moves_the_target(self) -> Self:
         if self.moved_target is not None and self.rotated_target is not None:
-            raise ValueError('rotary_manipulator.driver: does not go with target_manipulator, allowed "none"')
+            raise ValueError(
+                "rotary_manipulator.driver: gimbals and rails of target_manipulator do not move the target together, "
+                'allowed "none"; rails that stand in a run are linear_axes.NAME'
+            )
         return self
 
     @property

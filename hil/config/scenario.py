@@ -90,10 +90,17 @@ class Chaser(ConfigModel):
     propellant_gyration_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     """Radius of gyration of the propellant about each axis of c; what is used takes its inertia along, none if 0."""
     planar: bool = False
-    """Moves in the x-z plane of H and turns about y alone, as on a level floor: truth and demands are held in it."""
+    """Moves in a plane of H and turns about its normal alone, as on a level floor: truth and demands are held in it."""
+    plane: Literal["xz", "xy"] = "xz"
+    """Of H, of a planar chaser. Free motion leaves xy, by the Coriolis acceleration; what is held back is reported."""
     thrusters: Thrusters
 
     solar_array: SolarArray | None = None
+
+    @property
+    def held(self) -> int:
+        """Axis of H along which a planar chaser is held: 1 x, 2 y, 3 z; 0: it moves in space."""
+        return 0 if not self.planar else 2 if self.plane == "xz" else 3
 
     @field_validator("inertia_kg_m2")
     @classmethod

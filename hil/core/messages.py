@@ -162,8 +162,8 @@ CYCLE_FIELDS: Final = (
     number("commanded_s", "s", "when the thruster command was complete, time of the run"),
     number("on_wire_s", "s", "last change of the thrusters' digital lines, time of the run; nan without lines"),
     number("lateness_s", "s", "lateness of the cycle's wake-up, wall clock"),
-    number("nees_position", "1", "normalised error squared of the position filter, 9 states; nan without a pose"),
-    number("nees_attitude", "1", "normalised error squared of the attitude filter, 6 states; nan without a pose"),
+    number("nees_position", "1", "normalised error squared of the position filter; nan without a pose"),
+    number("nees_attitude", "1", "normalised error squared of the attitude filter; nan without a pose"),
     number(
         "monitor_bound_m",
         "m",

@@ -42,7 +42,7 @@ def carry_on(r_CT_H, q_CH, v_CT_H, w_CH_C, ahead_s, truth):
     for i in range(3):
         truth.w_CI_C[i] = w_CH_C[i] + w_frame[i]
     copy_into(truth.mean_rate_C, truth.w_CI_C)
-    hold_in_plane(truth)
+    hold_in_plane(2, truth)
 
 
 @entry

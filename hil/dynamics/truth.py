@@ -54,7 +54,7 @@ DSS_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
         ("relative_motion", "i8"),  # HILL or NONLINEAR
-        ("planar", "i8"),  # 1: the chaser is held in the x-z plane of H and turns about y
+        ("held", "i8"),  # axis of H along which a planar chaser is held, about which it turns: 1 x, 2 y, 3 z; 0: none
         ("orbit_rate", "f8"),  # rad/s, mean; the rate of H where the motion is Hill's
         ("inertia", "f8", (3, 3)),  # kg m^2, in c, about the centre of mass
         ("inertia_inverse", "f8", (3, 3)),
@@ -358,20 +358,22 @@ def _push_target(params, radius, fraction, memory, truth, gravity, y):
 
 
 @kernel
-def hold_in_plane(truth):
-    """Project the relative state of ``truth`` on the x-z plane of H and the rotation about y, with the means of a step.
+def hold_in_plane(held, truth):
+    """Project the relative state of ``truth`` on a plane of H and the rotation in it, with the means of a step.
 
-    What holds the chaser, a floor, takes whatever acts out of the plane.
+    held: 1, 2, 3: the plane across x, y or z. What holds the chaser, a floor, takes whatever acts out of the plane.
     """
     rate, w = stack.vector(3), stack.vector(3)
     rate_against_hill(truth, rate)
-    truth.r_CT_H[1] = truth.v_CT_H[1] = 0.0
-    truth.q_CH[0] = truth.q_CH[2] = 0.0
-    quat.normalise(truth.q_CH)
+    k = held - 1
+    truth.r_CT_H[k] = truth.v_CT_H[k] = 0.0
+    quat.keep_turn(k, truth.q_CH)
     quat.transform_into(truth.q_CH, truth.w_HI_H, w)
-    w[1] += rate[1]
-    truth.mean_rate_C[0], truth.mean_rate_C[2] = w[0], w[2]
-    truth.mean_force_C[1] = 0.0
+    w[k] += rate[k]
+    for i in range(3):
+        if i != k:
+            truth.mean_rate_C[i] = w[i]
+    truth.mean_force_C[k] = 0.0
     copy_into(truth.w_CI_C, w)
 
 
@@ -445,8 +447,8 @@ def step(params, field, memory, truth, on):
     if params.eclipse != 0:
         truth.sunlight = visible_sun(params.shadow_radius, params.sun_angle, truth.r_T_I, params.sun_I)
     add_lever_terms(params.mass_centre, w_before, truth.w_CI_C, truth.mean_rate_C, dt, truth.mean_force_C)
-    if params.planar != 0:
-        hold_in_plane(truth)
+    if params.held != 0:
+        hold_in_plane(params.held, truth)
     if params.mass_loss != 0:
         truth.mass_kg -= dt * propellant_flow(fraction, params.thruster_force, params.exhaust_speed, n)
 

@@ -19,11 +19,15 @@ from hil.maths import linear
 from hil.maths.elementary import square
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
-IN_PLANE = (0, 2, 4)  # those of a vehicle that moves in the x-z plane
 ROWS = 9  # of the sets: the six axes, then force x, y, z again with the full-thrust sets
 _LARGEST_SET = 4
 _COST_PER_THRUSTER = 0.02  # in units of unwanted over wanted part of the wrench
 _OPPOSED_FRACTION = 0.5  # of a stuck thruster's wrench that others may leave
+
+
+def axes_in_plane(held: int) -> tuple[int, ...]:
+    """Return the axes of a vehicle that is held along axis ``held`` and turns about it, 1 to 3; all of them if 0."""
+    return tuple(k for k in range(AXES_OF_A_BODY) if held == 0 or (k < 3) == (k % 3 != held - 1))
 
 
 def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:

@@ -6,6 +6,8 @@ instances, their addresses in the state of the GNC, their texts and failures.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.core.gnc_records import GNC_SETUP
@@ -15,6 +17,7 @@ from hil.core.observable import ObservableList
 from hil.gnc import step, thruster_monitor
 from hil.gnc.estimation import navigation
 from hil.gnc.estimation.filter_monitor import FilterMonitor
+from hil.gnc.estimation.plane import is_held_innovation
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.backend import Backends
 from hil.gnc_backends.base import Poses, Records
@@ -46,6 +49,7 @@ class BuiltinGnc(CompiledGnc):
         self._orbit = kernel_record(self.params.navigation.fusion.orbit)
         self.filter_monitor: FilterMonitor = filter_monitor
         self._nees = np.empty(2)
+        self._plane = int(self.params.navigation.fusion.held)
         self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False
         """Whether the filters took a pose in the last cycle."""
@@ -77,6 +81,20 @@ class BuiltinGnc(CompiledGnc):
         self.log_step(t_s, before, now.supervision)
         if self._backends.kinds and self.state["backends"]["asks_for_hold"]:
             self.hold_as_asked()
+
+    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log the progress, new texts of backends, and once that poses contradict the plane that holds the chaser."""
+        super().log_step(t_s, before, supervision)
+        off, integrity = self.state.navigation.fusion.off_plane, self.state.navigation.integrity
+        is_biased = integrity.biased and integrity.worst_of < 6 and is_held_innovation(self._plane, integrity.worst_of)
+        if not self._plane or not (off.sigmas or is_biased):
+            return
+        self._plane, text = 0, "poses stay on one side of it"
+        if off.sigmas:
+            text = f"the pose of {off.t_s:.2f} s is {off.across:.3f} m and {math.degrees(off.tilt):.2f} deg out of it, "
+            text += f"up to {off.sigmas:.1f} sigma"
+        text = f"measures another plane than that in which chaser.planar holds the chaser: {text}"
+        self.filter_monitor.events.append(Event(t_s, "vmu", text))
 
     def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
         """Check the NIS of ``cycle``, in which poses arrived, of a step that was run elsewhere."""

@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench import kinematics, manipulator
+from hil.bench import guard, kinematics, manipulator
 from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import HeldAtPlace, RotaryManipulator, TargetManipulator
 from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import Array
+from hil.core.messages import AXES, Array, new
 from hil.drivers.base import AxisGroup
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_axes import TargetAxes
+from hil.safety.guard_alarms import breach_alarm
 
 
 class HeldAxes(TargetAxes):
@@ -155,6 +156,9 @@ class TargetInMotion(TargetAxes):
         self._sample = np.zeros(1, HELD_SAMPLE if params.rails else MANIPULATOR_SAMPLE)
         self._bench, self._rest_radps = bench, config.si("speed_mismatch_max")
         self._largest = np.zeros((3, 3))  # position, rate, following error
+        self.guards: tuple[np.record, np.record] | None = None
+        """See ``params.bench.target_guards``."""
+        self._breach, self._apart = new(guard.BREACH), kernel_record(new(AXES))
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
         """Move all axes slowly to their positions for the start pose and wait until they are at rest there."""
@@ -179,6 +183,19 @@ class TargetInMotion(TargetAxes):
     def relate(self, axes: np.record) -> None:
         """Replace positions of rails and turntable, AXES, by those relative to the target, by its encoders."""
         self._relate(axes, self.feedback.position)
+        if self.guards is not None:
+            at, rate = self.feedback.position, self.feedback.rate
+            self._check_bodies(self.guards[0], axes.rail_m, axes.rail_mps - rate, axes)
+            self._check_bodies(self.guards[1], at, rate, axes)
+
+    def _check_bodies(self, of: np.record, rail_m: Array, rail_mps: Array, axes: np.record) -> None:
+        """Raise SafetyTrip if bodies that move with the target would come too near to others. of: GUARD."""
+        apart = self._apart
+        apart.rail_m, apart.rail_mps = rail_m, rail_mps
+        apart.gimbal_rad, apart.gimbal_radps = axes.gimbal_rad, axes.gimbal_radps
+        code = int(guard.enters_volume(of, apart, self._breach))
+        if code != guard.NOTHING:
+            raise breach_alarm(self.feedback.t_s, self.axis_names, code, self._breach).trip()
 
     def relate_setpoint(self, axes: np.record) -> None:
         """``relate`` for setpoints, of the last cycle."""

@@ -62,6 +62,15 @@ def normalise(q):
 
 
 @kernel
+def keep_turn(k, q):
+    """Leave of the rotation ``q`` what turns about axis ``k`` of 0 to 2, in place."""
+    for i in range(3):
+        if i != k:
+            q[i] = 0.0
+    normalise(q)
+
+
+@kernel
 def to_matrix_into(q, a):
     """Write A(q) into ``a`` (3, 3), for a unit quaternion."""
     q1, q2, q3, q4 = q[0], q[1], q[2], q[3]

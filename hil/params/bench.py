@@ -18,15 +18,21 @@ from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import AXES, Array, new
-from hil.maths import linear, quat
+from hil.maths import euler, linear, quat
 from hil.models.bodies import BODIES
 from hil.params.geometry import set_geometry
 
 
 def bodies(
-    given: Sequence[SpacecraftBody | BenchBody], on: str, offset_m: Sequence[float] = (0.0, 0.0, 0.0)
+    given: Sequence[SpacecraftBody | BenchBody],
+    on: str,
+    offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    at_rest: Array | None = None,
 ) -> np.record:
-    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to the bodies' origin."""
+    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to the bodies' origin.
+
+    at_rest: matrix (3, 3) to the frame from that in which ``low`` and ``high`` hold; None: they hold in the frame.
+    """
     record = new(BODIES)
     chosen = [(number, body) for number, body in enumerate(given, 1) if body.on == on]
     record.n, record.low, record.high = len(chosen), math.inf, -math.inf
@@ -38,8 +44,9 @@ def bodies(
         record.centre[k] = centre
         record.reach[k] = body.radius_m + linear.lengths(points - centre).max()
         record.arm[k] = body.radius_m + linear.lengths(points).max()
-        record.low = np.minimum(record.low, points.min(axis=0) - body.radius_m)
-        record.high = np.maximum(record.high, points.max(axis=0) + body.radius_m)
+        box = points if at_rest is None else linear.product(points, at_rest)
+        record.low = np.minimum(record.low, box.min(axis=0) - body.radius_m)
+        record.high = np.maximum(record.high, box.max(axis=0) + body.radius_m)
         record.farthest = max(float(record.farthest), float(record.arm[k]))
     return record
 
@@ -203,10 +210,27 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
         guard.zone.radius, guard.zone.plane = 0.0, -math.inf
     guard.arm, guard.arm_length = axes.lever_arm, linear.length(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
-    guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m)
+    guard.rest = np.where(axes.fixed[3:] != 0, axes.low[3:], 0.0)
+    at_rest = quat.to_matrix(euler.to_quaternion(guard.rest, axes.order))
+    guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m, at_rest)
     guard.distance, guard.reaction_s = geometry.bodies_distance_m, rig.guard.reaction_s
     guard.deceleration, guard.turning_deceleration = _decelerations(axes)
     return guard
+
+
+def target_guards(rig: Rig, scenario: Scenario) -> tuple[np.record, np.record] | None:
+    """Return GUARD of chaser's rig against the bodies that move with the target, and of these against the lab.
+
+    The first one is for the axes relative to those of the target, at what both brake with at least. None without any.
+    """
+    carried = bodies(rig.bench.bodies, "target")
+    if rig.shared_rails is None or not carried.n:
+        return None
+    of_chaser, of_target = axis_guard(rig, scenario), axis_guard(rig, scenario)
+    of_chaser.lab, of_target.carriage, of_target.turntable.n = carried, carried, 0
+    of_target.deceleration = _decelerations(manipulator_limits(rig, scenario.step_s))[0]
+    of_chaser.deceleration = min(of_chaser.deceleration, of_target.deceleration)
+    return of_chaser, of_target
 
 
 def bench_guard(rig: Rig, scenario: Scenario) -> np.record:

@@ -111,7 +111,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params = new(DSS_PARAMS)
     params.dt_s = scenario.sample_s
     params.relative_motion = NONLINEAR if scenario.truth.relative_motion == "nonlinear" else HILL
-    params.planar = scenario.chaser.planar
+    params.held = scenario.chaser.held
     params.orbit_rate = orbit_rate(scenario)
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     params.inertia_inverse = linear.inverse(params.inertia)
@@ -257,7 +257,7 @@ def initial_truth(scenario: Scenario) -> np.record:
     truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, truth.w_HI_H)
     truth.mean_rate_C = truth.w_CI_C
     if scenario.chaser.planar:
-        hold_in_plane(truth)  # also a dispersed start
+        hold_in_plane(scenario.chaser.held, truth)  # also a dispersed start
     truth.sunlight = _sunlight(scenario, truth.r_T_I)
     truth.mass_kg = scenario.chaser.mass_kg
     return truth

@@ -13,8 +13,8 @@ from hil.core.messages import MAX_THRUSTERS, POSE, Array, new
 from hil.dynamics.hill import input_response, transition
 from hil.gnc.allocation import (
     AXES_OF_A_BODY,
-    IN_PLANE,
     ROWS,
+    axes_in_plane,
     opposing_thrusters,
     sets_without,
     thruster_sets,
@@ -106,6 +106,7 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.ring = 2 ** (scenario.memory_steps - 1).bit_length() - 1
     fusion.noise_scale = scenario.gnc.navigation.noise_scale
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
+    fusion.held = scenario.chaser.held
     fusion.orbit = target_orbit(scenario)
     fusion.close_after, fusion.reopen_after = gnc.integrity.close_after, gnc.integrity.reopen_after
     akf = fusion.akf
@@ -434,15 +435,15 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
     Axes in which a planar chaser is held have no set, and the least strength of the others. Raises ValueError if the
     layout cannot move an axis.
     """
-    sets, strength = _allocation(chaser.thrusters, chaser.planar)
+    sets, strength = _allocation(chaser.thrusters, chaser.held)
     return sets.copy(), strength.copy()
 
 
 @lru_cache(maxsize=8)
-def _allocation(thrusters: Thrusters, planar: bool) -> tuple[np.ndarray, Array]:
+def _allocation(thrusters: Thrusters, held: int) -> tuple[np.ndarray, Array]:
     """Return ``allocation``, cached by layout: it searches thousands of sets."""
     n, wrenches = len(thrusters.position_m), wrenches_of(thrusters)
-    axes = IN_PLANE if planar else range(AXES_OF_A_BODY)
+    axes = axes_in_plane(held)
     sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
     chosen, strength = thruster_sets(wrenches, axes=axes)
     sets[:AXES_OF_A_BODY, :, :n] = chosen
@@ -524,5 +525,5 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     params.predicts = settings.backend == config.PREDICTIVE
-    params.held = [scenario.chaser.planar and axis not in IN_PLANE for axis in range(AXES_OF_A_BODY)]
+    params.held = [axis not in axes_in_plane(scenario.chaser.held) for axis in range(AXES_OF_A_BODY)]
     return params

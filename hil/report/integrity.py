@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.config.scenario import REACTION_NAMES, Scenario
 from hil.config.tables.faults import TimedFault
+from hil.gnc.estimation.plane import filter_states
 from hil.gnc.integrity_verdict import MONITOR_DISAGREES
 from hil.maths import chi_square
 from hil.maths.limits import finite_or_none
@@ -17,8 +18,10 @@ from hil.report import results
 
 SAFE_STOP: Final = "safe stop"
 _NEES_TAIL: Final = 2.5e-4  # of either filter
-_NEES_MAX: Final = tuple(chi_square.upper_quantile(_NEES_TAIL, n) for n in (9, 6))
-"""Largest mean NEES of position and attitude filter."""
+_NEES_MAX: Final = {
+    planar: tuple(chi_square.upper_quantile(_NEES_TAIL, n) for n in filter_states(planar)) for planar in (False, True)
+}
+"""Largest mean NEES of position and attitude filter, by whether the chaser is planar."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,14 @@ def integrity_part(state: np.record, scenario: Scenario) -> results.IntegrityRes
     )
 
 
-def decision_part(state: np.record) -> results.Decision:
+def decision_part(state: np.record, scenario: Scenario) -> results.Decision:
     """Return the part of the verdict about docking's go. state: INTEGRITY_STATE at the end of a run.
 
     A mean NEES may be as large as that of a consistent filter whose errors stay the same for the whole run: a quantile
     of chi-square with as many degrees of freedom as it has states.
     """
     decision = state.decision
-    counted = [mean <= limit for mean, limit in mean_nees(state)]
+    counted = [mean <= limit for mean, limit in mean_nees(state, scenario.chaser.planar)]
     nees_ok = all(counted) if counted else None
     return results.Decision(
         passed=bool(decision.error == 0 and decision.beyond + decision.pending == 0 and nees_ok is not False),
@@ -71,11 +74,11 @@ def decision_part(state: np.record) -> results.Decision:
     )
 
 
-def mean_nees(state: np.record) -> list[tuple[float, float]]:
+def mean_nees(state: np.record, planar: bool) -> list[tuple[float, float]]:
     """Return mean NEES and its limit of position and attitude filter, those that have one."""
     decision = state.decision
     means = decision.nees / np.maximum(decision.fused, 1)
-    return [(float(mean), limit) for mean, limit, n in zip(means, _NEES_MAX, decision.fused, strict=True) if n]
+    return [(float(mean), limit) for mean, limit, n in zip(means, _NEES_MAX[planar], decision.fused, strict=True) if n]
 
 
 def sensor_set(scenario: Scenario) -> str:

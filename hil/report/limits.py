@@ -292,7 +292,8 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     if decision.beyond + decision.pending > 0:
         since = float(decision.beyond_s if decision.beyond else decision.pending_s)
         rows.append(Margin("error_beyond_level", math.nan, since, None, None, "", since))
-    for name, (mean, limit) in zip(("nees_position", "nees_attitude"), mean_nees(integrity), strict=False):
+    means = mean_nees(integrity, scenario.chaser.planar)
+    for name, (mean, limit) in zip(("nees_position", "nees_attitude"), means, strict=False):
         if not mean <= limit:
             rows.append(Margin(name, limit - mean, run.end_s, finite_or_none(mean), limit, "", run.end_s, mean, limit))
     return rows

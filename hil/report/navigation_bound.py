@@ -18,6 +18,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array
+from hil.gnc.allocation import AXES_OF_A_BODY, axes_in_plane
 from hil.maths import linear
 from hil.maths.elementary import square
 from hil.report.navigation_bound_step import advance, information_into
@@ -54,6 +55,8 @@ class NavigationBound:
         turned = radians(budget.vision_misalignment_sigma_deg)
         self._constant = square(np.array([budget.vision_bias_sigma_m, [turned] * 3]))
         self._per_range = square(np.array([budget.vision_scale_sigma, turned, turned]))
+        free = axes_in_plane(scenario.chaser.held)
+        self._free = np.array([float(axis in free) for axis in range(AXES_OF_A_BODY)]).reshape(2, 3)
         self._p: Array | None = None
         self._last_s = 0.0
         self._sums = {True: np.zeros((2, 3)), False: np.zeros((2, 3))}  # after and before ``settled_s``
@@ -96,7 +99,7 @@ class NavigationBound:
         span = self._time_s[True] > 0.0
         if self._time_s[span] == 0.0:
             return None
-        values: list[float] = np.sqrt(self._sums[span][k] / self._time_s[span]).tolist()
+        values: list[float] = np.sqrt(self._free[k] * self._sums[span][k] / self._time_s[span]).tolist()
         return values
 
     def rows(self) -> dict[str, Any]:

@@ -171,7 +171,12 @@ def _errors_over_bound(navigation: NavigationResults) -> list[tuple[str, str, st
         for axis, here, least in zip(axes, error, bound, strict=True):
             shown = "mm" if unit == "m" else unit
             lines.append(
-                (f"{quantity} {axis}, {shown}", f"{scale * here:.3g}", f"{scale * least:.3g}", f"{here / least:.2f}")
+                (
+                    f"{quantity} {axis}, {shown}",
+                    f"{scale * here:.3g}",
+                    f"{scale * least:.3g}",
+                    f"{here / least:.2f}" if least else "-",
+                )
             )
     return lines
 

@@ -13,7 +13,7 @@ from hil.core.messages import Array
 from hil.gnc.approach_monitor import corridor_radius
 from hil.params import gnc as gnc_params
 from hil.report import figures
-from hil.report.consistency import STATES, Nees, nees_of
+from hil.report.consistency import Nees, nees_of
 from hil.report.figures import COLOURS, axes_of, band, line
 from hil.report.verdict import Verdict, deviations
 from hil.report.verdict_parts import attitude_error
@@ -73,11 +73,11 @@ def attitude(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figu
     return figure
 
 
-def nees(history: np.ndarray, _scenario: Scenario, _verdict: Verdict) -> Figure:
+def nees(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figure:
     """Return the NEES of both filters at each pose, with the bounds of a single value and the expected mean."""
     figure, axes = axes_of(2, 1, 5.5, sharex=True)
-    of_poses = nees_of(history)
-    for plot, (name, states) in zip(axes[:, 0], STATES.items(), strict=True):
+    of_poses = nees_of(history, scenario.chaser.planar)
+    for plot, name, states in zip(axes[:, 0], ("position", "attitude"), of_poses.states, strict=True):
         values, (low, high) = getattr(of_poses, name), getattr(of_poses, f"{name}_bounds")
         plot.axhspan(low, high, color="0.9", zorder=0, label=f"{100.0 * of_poses.probability:g} % of one value")
         plot.axhline(states, color="0.4", linestyle="--", linewidth=0.9, label=f"expected mean, {states}")

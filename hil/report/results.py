@@ -132,6 +132,10 @@ class Energy(PartResults):
     impulsive_bound_kg: float | None = row("propellant of them and of the slews")
     factor: float = row("allowed multiple of the least propellant")
     firings: int = row("firings of all thrusters")
+    held_back_mps2: float | None = row(
+        "largest acceleration that the plane of a planar chaser holds back; null without"
+    )
+    held_back_mps: float | None = row("its integral, which no thruster has to give")
 
 
 class FieldOfViewResults(PartResults):
@@ -191,8 +195,8 @@ class NavigationResults(Results):
         "[3], Cramér-Rao bound with these poses, this IMU and the error budget, whatever GNC is flown"
     )
     attitude_bound_deg: Vector | None = row("[3], the same of the attitude")
-    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, settled, 9 states", _TWO)
-    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, settled, 6 states", _TWO)
+    nees_pkf: float | None = row("mean NEES; 9 if consistent, 7 in the plane", "mean NEES position, settled", _TWO)
+    nees_akf: float | None = row("mean NEES; 6 if consistent, 4 in the plane", "mean NEES attitude, settled", _TWO)
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:

@@ -83,7 +83,7 @@ def summarise(
         held_since_s=verdict.held_since_s,
         ready_phase={name: verdict.worst[name].tolist() for name in ROW_NAMES} if verdict.worst else None,
         integrity=integrity_part(stats.integrity, scenario),
-        decision=decision_part(stats.integrity),
+        decision=decision_part(stats.integrity, scenario),
         docking_go_s=docking_go_s(outcome.events),
         control=control_numbers(history, scenario),
         gnc=gnc_summary(scenario),

@@ -14,6 +14,7 @@ from hil.checks.waivers import Waiver
 from hil.config.camera_identity import NOT_PROVEN
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
+from hil.params.held_back import held_back_text
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report import results
 from hil.report.explanations import explanation_of
@@ -197,9 +198,10 @@ def _security_text(part: results.Security) -> str:
 def _energy_text(part: results.Energy) -> str:
     allowed, bound = part.factor * part.least_propellant_kg, part.impulsive_bound_kg
     over = f", {part.propellant_kg / bound:.2f} x impulsive bound" if bound else ""
+    held = held_back_text(part.held_back_mps2 or 0.0, part.held_back_mps or 0.0)
     return (
         f"propellant {part.propellant_kg:.3f} kg, allowed {allowed:.3f} kg "
-        f"({part.factor:g} x impulsive minimum){over}, {part.firings} firings"
+        f"({part.factor:g} x impulsive minimum){over}, {part.firings} firings{held and f'; {held}'}"
     )
 
 

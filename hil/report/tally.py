@@ -16,6 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
 from hil.loop.compiled import run_stats
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
+from hil.params.held_back import HeldBack
 from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
 from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
@@ -65,6 +66,8 @@ class Tally:
         self._view = FieldOfView(scenario, rig)
         self._bound = NavigationBound(scenario, rig, SETTLED_S)
         self._bench = BenchErrorSums(scenario, rig, SETTLED_S)
+        is_held = scenario.chaser.planar and scenario.truth.relative_motion != "free"
+        self._held_back = HeldBack(scenario) if is_held else None
         self._rails, self._gimbals = Squares(), Squares()
         self._lead_s = np.array([axis.lead_s for table in (rig.rails, rig.turntable) for axis in table.axes])
         self._latency = {name: ThinnedSample() for name in LATENCIES}
@@ -101,6 +104,8 @@ class Tally:
         self._view.add(rows)
         self._bound.add(rows)
         self._bench.add(joined)
+        if self._held_back is not None:
+            self._held_back.add_rows(rows)
         setpoint, feedback = joined["setpoint"][1:], joined["feedback"][1:]  # a row's setpoint is for its own time
         self._rails.add(setpoint["rail_m"] - feedback["rail_m"])
         self._gimbals.add(np.degrees(setpoint["gimbal_rad"] - feedback["gimbal_rad"]))
@@ -135,7 +140,7 @@ class Tally:
             verdict=VerdictParts(
                 control_precision=control_precision(verdict, scenario),
                 security=security,
-                energy=energy_part(stats, scenario, thrusters.propellant_kg),
+                energy=energy_part(stats, scenario, thrusters.propellant_kg, self._held_back),
                 field_of_view=self._view.part(),
             ),
             navigation=NavigationResults(**navigation_numbers(stats.navigation), **self._bound.rows()),

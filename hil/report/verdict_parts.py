@@ -41,6 +41,7 @@ from hil.models import elliptic_motion
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
+from hil.params.held_back import HeldBack
 from hil.report import results
 from hil.sensors.vision_unit import parameters as vmu_params
 
@@ -226,8 +227,10 @@ def impulsive_bound(stats: np.record, scenario: Scenario) -> float | None:
     )
 
 
-def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> results.Energy:
-    """Return ``passed`` and the numbers. stats: RUN_STATS.
+def energy_part(
+    stats: np.record, scenario: Scenario, propellant_kg: float, held_back: HeldBack | None = None
+) -> results.Energy:
+    """Return ``passed`` and the numbers. stats: RUN_STATS. held_back: of the run of a planar chaser.
 
     delta_v_mps is the rocket equation's value for the propellant, as if all thrust had acted in one direction.
     """
@@ -247,6 +250,8 @@ def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> r
         impulsive_bound_kg=None if bound is None else mass_kg * -elementary.expm1(-(bound + slews) / exhaust_speed),
         factor=factor,
         firings=int(np.sum(stats.thruster_firings)),
+        held_back_mps2=None if held_back is None else held_back.largest_mps2,
+        held_back_mps=None if held_back is None else held_back.impulse_mps,
     )
 
 

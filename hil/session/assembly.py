@@ -321,7 +321,9 @@ def _target(
     start = dynamics_params.initial_truth(job.truth)
     bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
     sink = sink if params.rails else sinks.get("manipulator_samples")
-    return TargetInMotion(devices.target, config, params, bench, limits, start, sink), held
+    moving = TargetInMotion(devices.target, config, params, bench, limits, start, sink)
+    moving.guards = bench_params.target_guards(rig, job.scenario.value)
+    return moving, held
 
 
 def _sensors(

@@ -70,6 +70,20 @@ def test_errors_sit_on_the_bound_and_covariances_are_honest(studies: Studies, re
     assert found["rejected"] <= 1
 
 
+def test_filters_in_the_plane_are_consistent() -> None:
+    start = "initial.position_m=[10.0, 0.0, 0.5]", "initial.attitude_deg=[0.0, 3.0, 0.0]"
+    whole = run_fusion("swapped", 60, 0, start, 1, lambda n: None)
+    found = run_fusion("swapped", 60, 0, ("chaser.planar=true", *start), 1, lambda n: None)
+    for moment in found["nees_at_s"].values():
+        for name, freedom in (("pkf", 7), ("akf", 4)):
+            band = moment[name]
+            assert [band["low"], band["high"]] == pytest.approx(chi2.ppf([0.0005, 0.9995], 60 * freedom) / 60)
+            assert band["low"] < band["mean"] < band["high"]
+    for name, kept in (("position_rmse_m", [0, 2]), ("attitude_rmse_deg", [1])):
+        assert [i for i in range(3) if found[name][i] != 0.0] == kept
+        assert np.all(np.array(found[name])[kept] < 1.0001 * np.array(whole[name])[kept])
+
+
 def test_numbers_do_not_depend_on_the_number_of_workers() -> None:
     told: list[int] = []
     coarse = ("step_s=0.08",)  # half a frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 
 import hil
 from hil.cli.main import execute
+from hil.config.load import load_scenario
+from hil.errors import BadInput
 from hil.session import build
 from tests.support.lab_benches import BENCHES, rig_file
 from tests.support.rows import assert_same_bits
@@ -60,6 +63,46 @@ def test_planar_scenario_is_flown_in_the_plane() -> None:
     command = run.history["command"]
     assert not command["force"][:, 1].any()
     assert not command["torque"][:, [0, 2]].any()
+    estimate = run.history["navigation"]
+    for name, sigma, held in (("r_CT_H", "sigma_r_m", [1]), ("v_CT_H", "sigma_v_mps", [1]),
+                              ("q_CH", "sigma_attitude_rad", [0, 2])):  # fmt: skip
+        assert not estimate[name][:, held].any()
+        assert not np.nan_to_num(estimate[sigma][:, held]).any()
+    assert not estimate["w_CH_C"][:, [0, 2]].any()
+    assert estimate["sigma_r_m"][-1, [0, 2]].all()
+    assert run.nees().states == (7, 4)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        ([0.015, 0.0, 0.0], "poses stay on one side of it"),
+        ([0.06, 0.0, 0.0], "out of it, up to "),
+    ],
+)
+def test_pose_that_contradicts_the_plane_is_reported(error: list[float], text: str) -> None:
+    run = hil.run("planar", "mock-planar", 1, 30.0, {"vmu.errors.bias_m": error})
+    (said,) = (event.text for event in run.events if event.source == "vmu")
+    assert said.startswith("measures another plane than that in which chaser.planar holds")
+    assert text in said
+
+
+def test_tumble_in_the_plane_is_estimated() -> None:
+    tumble = {
+        "truth.relative_motion": "nonlinear",
+        "initial.position_m": [3.0, 0.0, 0.1],
+        "target.motion": "tumble",
+        "target.rate_degps": [0.0, 0.5, 0.0],
+        "target.moments_kg_m2": [2000.0, 3000.0, 3500.0],
+        "gnc.guidance.acceleration_mps2": 0.003,
+        "gnc.guidance.deceleration_mps2": 0.003,
+        "gnc.abort.hold_distance_m": 3.0,
+        "gnc.abort.acceleration_mps2": 0.003,
+    }
+    run = hil.run("planar", "mock-planar", 1, 120.0, tumble)
+    assert run.stop == "completed"
+    assert not run.history["navigation"]["r_CT_H"][:, 1].any()
+    assert run.summary["navigation"]["position_rmse_m"][0] < 0.003
 
 
 @pytest.mark.parametrize(
@@ -75,7 +118,33 @@ def test_planar_vehicle_stays_in_the_plane(setting: str, text: str, capsys: pyte
     assert execute(["run", "planar", "--rig", "mock-planar", "--set", setting]) == 2
     shown = " ".join(capsys.readouterr().err.split())
     assert text in shown
-    assert "another plane would hold back up to 4.9e-05 m/s2, 2 w v at 0.03 m/s" in shown
+
+
+def test_what_another_plane_holds_back_is_reported_before_the_run_and_in_the_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "xy.toml"
+    turned = {
+        key: [[x, -z, y] for x, y, z in getattr(load_scenario("planar").value.chaser.thrusters, key)]
+        for key in ("position_m", "direction")
+    }
+    scenario.write_text(
+        'extends = "planar"\nname = "xy"\n[initial]\nposition_m = [5.0, 0.3, 0.0]\nattitude_deg = [0.0, 0.0, 3.0]\n'
+        '[chaser]\nplane = "xy"\n[chaser.thrusters]\n' + "".join(f"{key} = {rows}\n" for key, rows in turned.items())
+    )
+    rig = tmp_path / "level.toml"
+    rig.write_text(
+        'extends = "mock"\nname = "level"\n[bench]\nlever_arm_m = [0.0, 0.0, 0.0]\n'
+        "[rails]\nz.fixed_m = 0.0\n[turntable]\nroll.fixed_deg = 0.0\npitch.fixed_deg = 0.0\n"
+    )
+    out = tmp_path / "run.json"
+    assert execute(["run", str(scenario), "--rig", str(rig), "--json", str(out)]) == 0
+    shown = capsys.readouterr()
+    line = "the plane holds back up to 4.9e-05 m/s2, 0.0074 m/s in all, which no thruster gives"
+    assert line in " ".join(shown.err.split())
+    energy = json.loads(out.read_text())["verdict"]["energy"]
+    assert energy["held_back_mps2"] == pytest.approx(4.9e-5, rel=0.1)
+    assert energy["held_back_mps"] == pytest.approx(0.0074, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -103,3 +172,26 @@ def test_planar_recording_is_replayed_to_the_bit(tmp_path: Path) -> None:
     hil.run("planar", "mock-planar", 1, 10.0, record=tmp_path)
     (recording,) = tmp_path.glob("*.mcap")
     assert execute(["replay", str(recording)]) == 0
+
+
+PLANE_OF_A_LAB = """extends = "emulated-planar"
+name = "lab"
+[rotary_manipulator]
+driver = "cia402"
+servo = { gain_per_s = 30.0, lag_s = 0.006 }
+pitch = { travel_deg = [-80.0, 80.0], rate_max_degps = 10.0, acceleration_max_degps2 = 5.0 }
+[vmu]
+driver = "udp"
+[io]
+driver = "none"
+"""
+"""Two rails, a table and a target of one axis, a camera of its own, no coupler."""
+
+
+def test_plane_with_a_target_on_one_axis_runs_in_lock_step(tmp_path: Path) -> None:
+    rig = tmp_path / "lab.toml"
+    rig.write_text(PLANE_OF_A_LAB)
+    with pytest.raises(BadInput, match=r"rig\.rotary_manipulator: cia402: is missing, the table of its bus"):
+        hil.run("planar", str(rig), 1, 1.0, LOCK_STEP)
+    rig.write_text(PLANE_OF_A_LAB + '[rotary_manipulator.cia402]\ninterface = "serial"\nnode_ids = [1]\n')
+    assert hil.run("planar", str(rig), 1, 1.0, LOCK_STEP).stop == "completed"

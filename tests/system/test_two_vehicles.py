@@ -10,6 +10,7 @@ import pytest
 import hil
 from hil.cli.main import execute
 from hil.core.modes import Mode
+from hil.errors import BadInput
 from hil.recording.read import load
 from hil.session import build
 from tests.support.run_settings import make_job
@@ -101,3 +102,46 @@ def test_two_vehicles_run_in_lock_step(tmp_path: Path) -> None:
     run = hil.run("planar", str(rig), 1, 1.0, {"rig.host.time": "lock_step"})
     assert run.stop == "completed"
     assert len(run.history) == 51
+
+
+def _box(x_low: float, x_high: float) -> list[list[float]]:
+    return [[x, y, z] for x in (x_low, x_high) for y in (-0.3, 0.3) for z in (-0.3, 0.3)]
+
+
+@pytest.mark.parametrize(
+    ("target", "wall", "pair"),
+    [((-1.0, 0.0), (-5.0, -4.2), ""), ((-1.0, 4.5), (-5.0, -4.2), "1 and 2"), ((-1.0, 0.0), (-5.0, -3.3), "2 and 3")],
+)
+def test_what_carries_the_target_stays_apart_from_chaser_and_lab(
+    target: tuple[float, float], wall: tuple[float, float], pair: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = {"carriage": (0.3, 1.2), "target": target, "lab": wall}
+    table = {"rig.bench.bodies": [{"on": on, "vertices_m": _box(*ends)} for on, ends in bodies.items()]}
+    if pair:
+        with pytest.raises(BadInput, match=f"rig.bench.bodies: {pair} would be") as refused:
+            hil.run("planar", RIG, 1, 10.0, table)
+        assert len(refused.value.problems) == 1
+        monkeypatch.setattr(build, "check_bodies", lambda *_: [])
+    run = hil.run("planar", RIG, 1, 60.0 if pair else 10.0, table)
+    assert run.stop.partition(" 0")[0] == ("bench: distance of bodies" if pair else "completed")
+    assert not pair or f"bench.bodies {pair}" in run.stop
+
+
+def test_target_on_rails_and_gimbals_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "both.toml"
+    rig.write_text(
+        f'extends = "{RIG}"\nname = "both"\n[rotary_manipulator]\ndriver = "mock"\n'
+        "servo = { gain_per_s = 30.0, lag_s = 0.006 }\n"
+        "yaw = { travel_deg = [-170.0, 170.0], rate_max_degps = 10.0, acceleration_max_degps2 = 5.0 }\n"
+    )
+    assert execute(["run", "planar", "--rig", str(rig)]) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "gimbals and rails of target_manipulator do not move the target together" in shown
+    assert "are linear_axes.NAME" in shown
+
+
+def test_body_of_the_target_requires_that_it_moves(capsys: pytest.CaptureFixture[str]) -> None:
+    bodies = "rig.bench.bodies=[{on='target', vertices_m=[[0,0,0],[1,0,0],[0,1,0],[0,0,1]]}, "
+    bodies += "{on='lab', vertices_m=[[5,0,0],[6,0,0],[5,1,0],[5,0,1]]}]"
+    assert execute(["run", "planar", "--rig", "mock-planar", "--set", bodies]) == 2
+    assert 'on = "target" requires target_manipulator.sharing' in " ".join(capsys.readouterr().err.split())

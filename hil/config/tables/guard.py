@@ -31,20 +31,21 @@ class SpacecraftBody(Body):
 class BenchBody(Body):
     """Part of the bench or of the lab."""
 
-    on: Literal["carriage", "turntable", "lab"]
+    on: Literal["carriage", "turntable", "lab", "target"]
     """`carriage`: moves with the rails, in L from the turntable's centre of rotation; `turntable`: rotates with it, in
-    c from the chaser's reference point; `lab`: stands still, in L from the target's reference point."""
+    c from the chaser's reference point; `lab`: stands still, in L from the target's reference point, there at 0;
+    `target`: moves with the target of `target_manipulator.sharing`, in L from its reference point."""
 
 
-def check_kinds(bodies: Sequence[SpacecraftBody | BenchBody], fixed: str) -> None:
-    """Raise ValueError if there are too many bodies of a kind, or none that can meet. fixed: kind that rests."""
+def check_kinds(bodies: Sequence[SpacecraftBody | BenchBody], *fixed: str) -> None:
+    """Raise ValueError if there are too many bodies of a kind, or none that can meet. fixed: kinds that others meet."""
     kinds = [body.on for body in bodies]
     for kind in kinds:
         if kinds.count(kind) > BODIES_MAX:
             raise ValueError(f'bodies: {kinds.count(kind)} with on = "{kind}", allowed {BODIES_MAX}')
-    if kinds and (fixed not in kinds or set(kinds) == {fixed}):
+    if kinds and (not {*fixed} & {*kinds} or len({*kinds}) == 1):
         shown = ", ".join(f'"{kind}"' for kind in sorted(set(kinds)))
-        raise ValueError(f'bodies: all have on = {shown}, allowed is "{fixed}" together with one that moves')
+        raise ValueError(f'bodies: all have on = {shown}, allowed is "{fixed[0]}" together with one that moves')
 
 
 Count = Annotated[int, Field(ge=1, le=10_000)]

@@ -23,12 +23,13 @@ import numpy as np
 
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS, POSITION_ONLY
-from hil.gnc.estimation import body_frame, joint_filter, pose_model, sensor_fusion, target_motion, thrust_model
+from hil.gnc.estimation import body_frame, joint_filter, plane, pose_model, sensor_fusion, target_motion, thrust_model
 from hil.gnc.estimation.akf import AKF_PARAMS
 from hil.gnc.estimation.body_frame import AXES_STEP
 from hil.gnc.estimation.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
 from hil.gnc.estimation.intervals import mean_interval
 from hil.gnc.estimation.pkf import PKF_PARAMS
+from hil.gnc.estimation.plane import OFF_PLANE
 from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE
 from hil.gnc.estimation.step_memory import (
     DOUBTS,
@@ -55,6 +56,7 @@ FUSION_PARAMS = np.dtype(
         ("ring", "i8"),  # the same rounded up to a power of two, less 1: of the addresses
         ("noise_scale", "f8"),  # of the standard deviations that poses report
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
+        ("held", "i8"),  # axis of H along which a planar chaser is held: 1 x, 2 y, 3 z; 0: none
         ("orbit", TARGET_ORBIT),
         ("close_after", "i8"),  # consecutive rejections
         ("reopen_after", "i8"),  # consecutive poses that agree
@@ -108,6 +110,7 @@ FUSION_STATE = np.dtype(
         ("found_position", INNOVATION),  # also of the accelerometer and of other sensors, one after the other
         ("axes", AXES_STEP),  # of a target that tumbles
         ("sensors", SENSOR_FUSION_STATE),
+        ("off_plane", OFF_PLANE),
     ],
     align=True,
 )
@@ -167,6 +170,8 @@ def _predict(params, state, step):
         body_frame.leave_middle(axes, filters, errors.n, errors.target_rate)
         if errors.target_rate != 0:
             target_motion.carry_errors(params.orbit, errors, params.akf.dt_s, filters)
+    if params.held != 0:
+        plane.hold(params.held, errors, filters)
 
 
 @kernel
@@ -187,7 +192,7 @@ def _compare(state, pose):
 
 
 @kernel
-def _add_jump(state, z, delta_s):
+def _add_jump(params, state, z, delta_s):
     """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much.
 
     Without a sound IMU the velocity may be as well, by what leads there in ``_DIVERGED_S``.
@@ -200,6 +205,8 @@ def _add_jump(state, z, delta_s):
         if state.thrust.without_imu == 1:
             filters.p[V + i, V + i] += (jump / _DIVERGED_S) ** 2
         state.jump_m[i] = max(state.jump_m[i], abs(jump))
+    if params.held != 0:
+        plane.hold(params.held, params.errors, filters)
 
 
 @kernel
@@ -309,7 +316,7 @@ def _fuse_pose(params, state, pose, moment_s, gated):
             _count(params, state, pose, result, nis_a, nis_p)
             return result
     if result == REOPENED:
-        _add_jump(state, z, delta_s)
+        _add_jump(params, state, z, delta_s)
     if result >= ATTITUDE_ONLY:
         if is_whole:
             joint_filter.update(errors, filters, attitude)
@@ -348,6 +355,8 @@ def _count(params, state, pose, result, nis_attitude, nis_position):
             state.interval_s = mean_interval(state.interval_s, pose.t_s - state.last_accepted_s)
             state.last_accepted_s = pose.t_s
     state.rejected_in_a_row = 0 if result >= ACCEPTED else state.rejected_in_a_row + 1
+    if params.held != 0 and result < ACCEPTED:
+        plane.note_contradiction(params, state, pose)
 
 
 @kernel

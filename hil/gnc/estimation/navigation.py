@@ -16,6 +16,7 @@ from hil.gnc.estimation import (
     integrity,
     joint_filter,
     parameter_doubts,
+    plane,
     sensor_monitor,
     thrust_model,
 )
@@ -130,7 +131,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     if params.fusion.sensors.fused > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
         out.health |= SENSOR_SUSPECT
     if fused.started != 0:
-        _write_filters(fused.filters, out)
+        _write_filters(params.fusion.held, fused.filters, out)
         integrity.protect(params.integrity, params.fusion.sensors, state.integrity, fused, state.t_s, out)
     out.nis_position = fused.nis_position
     out.nis_attitude = fused.nis_attitude
@@ -153,8 +154,8 @@ def _watch_update(params, state, accepted):
 
 
 @kernel
-def _write_filters(filters, out):
-    """Write estimate and sigmas, and whether a variance is none."""
+def _write_filters(held, filters, out):
+    """Write estimate and sigmas, and whether a variance is none of what the plane does not hold."""
     copy_into(out.r_CT_H, filters.pkf.x[0:3])
     copy_into(out.v_CT_H, filters.pkf.x[3:6])
     copy_into(out.q_CH, filters.akf.x[0:4])
@@ -164,7 +165,8 @@ def _write_filters(filters, out):
     joint_filter.sigma(filters, ROTATION, out.sigma_attitude_rad)
     valid = True
     for i in range(DRIFT):
-        valid = valid and (BIAS <= i < ROTATION or 0.0 < filters.p[i, i] < np.inf)
+        known = held != 0 and plane.is_known(held, i)
+        valid = valid and (known or BIAS <= i < ROTATION or 0.0 < filters.p[i, i] < np.inf)
     if not valid:
         out.health |= COVARIANCE_INVALID
 
@@ -172,6 +174,8 @@ def _write_filters(filters, out):
 @kernel
 def normalised_errors(filters, orbit, truth, imu, out):
     """Write the NEES of the position filter (9 states) and of the attitude filter (6) into ``out`` (2,).
+
+    In the plane they have 7 and 4: what is known has neither error nor variance.
 
     filters: FILTERS, of the moment of ``truth``. orbit: their TARGET_ORBIT. ``imu`` holds the true drift and bias. A
     drift of the gyros and an error of the known rate of H are one to the filter, unless it estimates that rate: its
@@ -193,5 +197,9 @@ def normalised_errors(filters, orbit, truth, imu, out):
         from_pkf[6 + i] = imu.bias_C[i] - filters.pkf.x[6 + i]
     joint_filter.copy_block(filters, R, of_pkf)
     joint_filter.copy_block(filters, ROTATION, of_akf)
+    for k in range(BIAS):
+        of_pkf[k, k] += 1.0 if of_pkf[k, k] == 0.0 else 0.0
+    for k in range(3):
+        of_akf[k, k] += 1.0 if of_akf[k, k] == 0.0 else 0.0
     out[0] = normalised_square(from_pkf, of_pkf)
     out[1] = normalised_square(from_akf, of_akf)

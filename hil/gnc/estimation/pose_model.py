@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
-from hil.gnc.estimation import akf, joint_filter, pkf, target_motion
+from hil.gnc.estimation import akf, joint_filter, pkf, plane, target_motion
 from hil.gnc.estimation.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION, R, V
 from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
@@ -167,6 +167,8 @@ def start(params, pose, noise, filters):
             p[i, m] = p[m, i] = response[i, m] * variance
             for j in range(FILTER_ERRORS):
                 p[i, j] += response[i, m] * variance * response[j, m]
+    if params.held != 0:
+        plane.hold(params.held, errors, filters)
 
 
 @kernel

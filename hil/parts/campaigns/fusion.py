@@ -17,6 +17,7 @@ from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.core.surroundings import prepare_worker_processes
 from hil.errors import BadInput
 from hil.gnc.estimation.fusion import FUSION_STATE
+from hil.gnc.estimation.plane import filter_states
 from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.models.faults import SEED_BITS
@@ -107,7 +108,7 @@ class Study:
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
         circular = (*_OF_THE_PAPER, *settings)
         scenario = _scenario(circular)
-        self.step_s = scenario.step_s
+        self.step_s, self.planar = scenario.step_s, scenario.chaser.planar
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
@@ -229,25 +230,30 @@ def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record,
     updates = n * round((fusion_kernel.SNAPSHOTS_S[-1] - fusion_kernel.SNAPSHOTS_S[0]) * study.vmu_rate_hz)
     rmse = np.sqrt(results["square_error"].mean(axis=0))
     limit = np.sqrt(np.array(bound.variance))
+    ratio = np.divide(rmse, limit, out=np.ones(6), where=limit > 0.0)  # what a plane holds is known
     position, attitude = study.degrees_of_freedom()
+    of_position, of_attitude = filter_states(study.planar)
     return {
         "vmu_noise": reading,
         "runs": n,
         "seed": seed,
         "position_rmse_m": _list(rmse[:3]),
         "position_bound_m": _list(limit[:3]),
-        "position_ratio": _list(rmse[:3] / limit[:3]),
+        "position_ratio": _list(ratio[:3]),
         "position_ratio_limit": max(LARGEST_RATIO, largest_ratio(position, n, 6, _BAND)),
         "position_max_m": _list(results["largest_error"].max(axis=0)[:3]),
         "attitude_rmse_deg": _list(np.degrees(rmse[3:])),
         "attitude_bound_deg": _list(np.degrees(limit[3:])),
-        "attitude_ratio": _list(rmse[3:] / limit[3:]),
+        "attitude_ratio": _list(ratio[3:]),
         "attitude_ratio_limit": max(LARGEST_RATIO, largest_ratio(attitude, n, 6, _BAND)),
         "attitude_max_deg": _list(np.degrees(results["largest_error"].max(axis=0)[3:])),
-        "nees_pkf": _band(results["nees_pkf"][:, -1], 9),
-        "nees_akf": _band(results["nees_akf"][:, -1], 6),
+        "nees_pkf": _band(results["nees_pkf"][:, -1], of_position),
+        "nees_akf": _band(results["nees_akf"][:, -1], of_attitude),
         "nees_at_s": {
-            f"{t_s:g}": {"pkf": _band(results["nees_pkf"][:, i], 9), "akf": _band(results["nees_akf"][:, i], 6)}
+            f"{t_s:g}": {
+                "pkf": _band(results["nees_pkf"][:, i], of_position),
+                "akf": _band(results["nees_akf"][:, i], of_attitude),
+            }
             for i, t_s in enumerate(fusion_kernel.SNAPSHOTS_S)
         },
         "nis_pkf": _nis(results["nis_pkf"], updates),

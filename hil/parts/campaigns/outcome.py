@@ -79,7 +79,7 @@ def row_of(
     """
     ended = None if stop == COMPLETED else stop_of_alarm(alarm, stop, int(stats.cycles) * scenario.step_s)
     verdict = verdict_of(stats.ready, scenario.requirements)
-    integrity, decision = integrity_part(stats.integrity, scenario), decision_part(stats.integrity)
+    integrity, decision = integrity_part(stats.integrity, scenario), decision_part(stats.integrity, scenario)
     limits = stats.integrity.limits
     aborted = int(limits.aborted)
     used_kg = propellant_kg(stats, truth)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.bench import guard as guards
 from hil.bench.guard import (
     BREACH,
     BY_ENCODERS,
@@ -27,6 +28,7 @@ from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.bench.stopping import brake_step, slower
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import BENCH_AXES
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, new
 from hil.params import bench as bench_params
 from hil.safety.guard_alarms import breach_alarm
@@ -222,3 +224,20 @@ def test_slower_goes_towards_zero_and_not_past_it(rate: float, loss: float) -> N
     left = slower(rate, loss)
     assert abs(left) == pytest.approx(max(0.0, abs(rate) - loss))
     assert left * rate >= 0.0
+
+
+def test_cheap_bound_of_a_fixed_gimbal_hides_no_collision() -> None:
+    rig = load_rig("mock-planar", ("rig.bench.lever_arm_m=[0.0, 0.0, 0.35]",)).value
+    scenario = load_scenario("planar").value
+    guard, exact = (kernel_record(bench_params.axis_guard(rig, scenario)) for _ in range(2))
+    exact.turntable.farthest = exact.carriage.farthest = 1e6  # each distance is computed
+    for each in (guard, exact):
+        each.zone.radius, each.zone.plane = 0.0, -np.inf
+    random, axes, breach, found = np.random.default_rng(5), kernel_record(new(AXES)), new(guards.BREACH), []
+    for _ in range(400):
+        axes.rail_m = random.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 0.0])
+        axes.gimbal_rad = -np.pi / 2.0, 0.0, random.uniform(-1.0, 1.0)
+        axes.rail_mps = random.uniform(-0.2, 0.2, 3)
+        found.append(int(guards.enters_volume(guard, axes, breach)))
+        assert found[-1] == int(guards.enters_volume(exact, axes, breach))
+    assert {guards.NOTHING, guards.COLLISION} == {*found}

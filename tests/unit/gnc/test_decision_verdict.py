@@ -33,8 +33,9 @@ def rows(seconds: float = 30.0) -> np.ndarray:
 
 
 def judged(history: np.ndarray, *settings: str) -> tuple[np.record, Any]:
-    state = counted(history, load_scenario("scheme-1", settings).value).integrity
-    return state.decision, decision_part(state)
+    scenario = load_scenario("scheme-1", settings).value
+    state = counted(history, scenario).integrity
+    return state.decision, decision_part(state, scenario)
 
 
 def test_go_at_the_ready_point_is_right() -> None:

@@ -55,7 +55,7 @@ def test_nees_has_its_bounds_at_each_pose(run: hil.Run) -> None:
     assert found.attitude_bounds == pytest.approx((1.237, 14.449), abs=1e-3)
     assert 0.5 < found.inside("position") <= 1.0
     assert run.nees(0.999).position_bounds[1] > found.position_bounds[1]
-    assert nees_of(run.history[:0]).t_s.shape == (0,)
+    assert nees_of(run.history[:0], False).t_s.shape == (0,)
 
 
 def test_runs_and_recordings_are_compared_alike(run: hil.Run, tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -14,14 +14,15 @@ _BITS_PER_BYTE: Final = 10
 
 
 def _check(turntable: RotaryAxes) -> None:
-    check_ids("cia402.node_ids", (turntable.cia402 or Cia402()).node_ids, turntable)
+    if turntable.cia402 is None:
+        raise ValueError("cia402: is missing, the table of its bus")
+    check_ids("cia402.node_ids", turntable.cia402.node_ids, turntable)
 
 
 def _check_files(turntable: RotaryAxes) -> list[str]:
     from hil.drivers.turntable.cia402.eds import Eds  # on use: importing canopen is slow
 
-    if turntable.cia402 is None:
-        return []
+    assert turntable.cia402 is not None  # ``_check``
     return Eds.of(turntable.cia402, homing=any(axis.encoder == "incremental" for axis in turntable.axes)).losses()
 
 
