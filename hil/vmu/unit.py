@@ -435,8 +435,7 @@ class VisionUnit:
         doubt = doubt_of_lights(self.solver.scene, view, fit)
         if self.track.poses == 1:
             self._consistency.restart()
-            self._vibration.restart()
-        self._vibration.add(fit)
+        self._vibration.add(fit, is_first=self.track.poses == 1)
         if doubt is None:
             if self.solver.scene.vibration == 0.0:
                 self._consistency.add(view, fit)
