@@ -85,35 +85,34 @@ def identity_doubt(stated: Mapping[str, CameraIdentity | None], actual: Mapping[
     return f"{NOT_PROVEN}: no serial and offset_px in {', '.join(texts)}" if texts else ""
 
 
+def file_doubt(stated: Mapping[str, CameraIdentity | None], path: str) -> str:
+    """Return "" if the file ``path``, just written, states its cameras, else that it does not, and what does."""
+    if all(each is not None and each.is_complete for each in stated.values()):
+        return ""
+    return f"{path}: {NOT_PROVEN}, no serial and offset_px: hil calibrate writes those of hil cameras identity"
+
+
 def check_folder(stated: Mapping[str, CameraIdentity | None], folder: Path, source: str) -> str:
-    """Return ``identity_doubt`` of the images in ``folder``; raise BadInput if they are of other cameras.
-
-    source: of the stated identities, for the error.
-    """
-    actual = read_identities(folder)
-    check_same(stated, actual, source, f"the images of {folder} have")
-    return identity_doubt(stated, actual)
-
-
-def check_recorded(
-    stated: Mapping[str, CameraIdentity | None], recorded: Mapping[str, CameraIdentity | None], source: str
-) -> None:
-    """Raise BadInput if the file ``source`` is of other cameras than those of a recording."""
-    check_same(stated, recorded, source, "the recording has")
+    """Return ``check_same`` of the images in ``folder``, or of a video."""
+    return check_same(stated, read_identities(folder), source, f"the images of {folder} have")
 
 
 def check_same(
     stated: Mapping[str, CameraIdentity | None], actual: Mapping[str, CameraIdentity | None], source: str, what: str
-) -> None:
-    """Raise BadInput if ``actual`` are other cameras than the file ``source`` has; ``what``: "the recording has"."""
+) -> str:
+    """Return ``identity_doubt``; raise BadInput if ``actual`` are other cameras than the file ``source`` has.
+
+    what: of the error, "the recording has".
+    """
     if problem := identity_problem(stated, actual):
         name, key, here, there = problem
         raise BadInput.single(source, f"{name}.identity.{key}", f"{here}: {what} {there}")
+    return identity_doubt(stated, actual)
 
 
 def read_identities(folder: Path) -> dict[str, CameraIdentity | None]:
-    """Return the identities in CAMERAS_FILE of ``folder``, none without one. Raises BadInput."""
-    path = folder / CAMERAS_FILE
+    """Return the identities in CAMERAS_FILE of ``folder``, or in that of a file, none without one. Raises BadInput."""
+    path = (folder.parent if folder.is_file() else folder) / CAMERAS_FILE
     if not path.is_file():
         return {}
     try:
@@ -133,7 +132,7 @@ def write_identities(identities: Mapping[str, CameraIdentity | None], folder: Pa
 
 
 def identity_by(read: Callable[[str, type], Any]) -> CameraIdentity:
-    """Return the identity that a camera reports by its features (SFNC).
+    """Return the identity that a camera reports by its features (SFNC); one without a feature neither bins nor mirrors.
 
     read: returns the value of a feature as this type, None without such a feature.
     """
@@ -141,8 +140,8 @@ def identity_by(read: Callable[[str, type], Any]) -> CameraIdentity:
     def first(kind: type, *names: str) -> Any:
         return next((value for name in names if (value := read(name, kind)) not in (None, "")), None)
 
-    def pair(kind: type, *names: tuple[str, ...]) -> Any:
-        values = tuple(first(kind, *alternatives) for alternatives in names)
+    def pair(kind: type, *names: tuple[str, ...], default: Any = None) -> Any:
+        values = tuple(default if (value := first(kind, *each)) is None else value for each in names)
         return None if None in values else values
 
     words = [word for name in ("DeviceVendorName", "DeviceModelName") if (word := first(str, name))]
@@ -152,6 +151,6 @@ def identity_by(read: Callable[[str, type], Any]) -> CameraIdentity:
         firmware=first(str, "DeviceFirmwareVersion", "DeviceVersion"),
         sensor_px=pair(int, ("SensorWidth", "WidthMax"), ("SensorHeight", "HeightMax")),
         offset_px=pair(int, ("OffsetX",), ("OffsetY",)),
-        binning=pair(int, ("BinningHorizontal",), ("BinningVertical",)),
-        reversed=pair(bool, ("ReverseX",), ("ReverseY",)),
+        binning=pair(int, ("BinningHorizontal",), ("BinningVertical",), default=1),
+        reversed=pair(bool, ("ReverseX",), ("ReverseY",), default=False),
     )

@@ -13,6 +13,7 @@ from hil.core.messages import Array
 _PAIRS: Final = 24
 _STEP: Final = math.log(1.5)  # change of the light of all LEDs from one pair to the next
 _STEPS: Final = 4  # up and down, which a hidden LED or a light that is switched off does not make
+_MOVED_PX: Final = 80.0  # of the bright images' lights from one to the next: other scenes
 _ROWS: Final = 5  # lights of an image, from which on their brightness shows a period
 _IMAGES: Final = 6
 _PERIODIC: Final = 0.8  # of the variance
@@ -26,11 +27,14 @@ class Flicker:
         self._row_s = abs(row_s)
         self._images: deque[np.ndarray] = deque(maxlen=_PAIRS)
         self._totals: deque[float] = deque(maxlen=_PAIRS)
+        self._places: deque[Array] = deque(maxlen=_PAIRS)
 
     def add(self, spots: np.ndarray) -> None:
         """Add the lights (SPOT) of an image."""
         self._images.append(spots)
-        self._totals.append(float(spots["flux"].sum()))
+        total = float(spots["flux"].sum())
+        self._totals.append(total)
+        self._places.append(np.array([spots[axis] @ spots["flux"] for axis in "uv"]) / max(total, 1.0))
 
     def reason(self) -> str:
         """Return that the LEDs flicker, by how much, and what to do, "" if they do not."""
@@ -40,7 +44,9 @@ class Flicker:
             return ""
         steps = np.diff(np.log(np.maximum(totals, 0.01 * largest)))
         steps = steps[np.abs(steps) > _STEP]
-        if np.count_nonzero(np.diff(np.sign(steps))) < _STEPS - 1:
+        moved = np.diff(np.array(self._places)[totals > 0.5 * largest], axis=0)
+        is_elsewhere = np.hypot(*moved.T).sum() >= _MOVED_PX * len(moved)
+        if is_elsewhere or np.count_nonzero(np.diff(np.sign(steps))) < _STEPS - 1:
             return ""
         hz = self._frequency_hz()
         about = f" of about {hz:.2g} Hz" if hz < 1e3 else f" of about {1e-3 * hz:.2g} kHz"

@@ -16,11 +16,13 @@ from hil.vmu.identify import (
     TOO_FEW,
     LedIdentification,
 )
+from hil.vmu.kernels.fit import FULL_SCALE
 from hil.vmu.kernels.records import SATURATED
 from hil.vmu.pose import SolverSettings
 
 BRIGHT_LEVEL: Final = 230
 _CLIPPED_PX: Final = 300
+_RUN_PX, _SLENDER, _LIGHTS_PX = 12, 1.5, 48  # of columns at full scale; relative to all lights of a row; of these
 DARK_LEVELS: Final = 60
 """An image whose brightest pixel is less above its background is dark."""
 
@@ -35,6 +37,24 @@ def contrast(images: Sequence[np.ndarray | None]) -> tuple[int, float]:
 def overexposed(image: np.ndarray) -> float:
     """Return the fraction of an image at or near full scale."""
     return float((image[::4, ::4] >= BRIGHT_LEVEL).mean())
+
+
+def blooming(images: Sequence[np.ndarray | None]) -> str:
+    """Return that the light of LEDs runs along columns of the sensor, "" unless it does."""
+    longest = max((_run_of_columns(image) for image in images if image is not None), default=0)
+    return f"{longest} pixels of a column at full scale, blooming: shorten the exposure" if longest else ""
+
+
+def _run_of_columns(image: np.ndarray) -> int:
+    """Return the longest run of pixels at full scale in a column, 0 if it is no longer than lights are wide."""
+    full = image == FULL_SCALE
+    width = int(full.sum(axis=1).max())
+    columns = full[:, full.sum(axis=0) >= _RUN_PX]
+    if not columns.shape[1] or width > _LIGHTS_PX:
+        return 0
+    count = np.cumsum(columns, axis=0)
+    run = int((count - np.maximum.accumulate(np.where(columns, 0, count), axis=0)).max())
+    return run if run >= max(_RUN_PX, _SLENDER * width) else 0
 
 
 def reason_of_time(images: Sequence[np.ndarray | None], spots: Sequence[np.ndarray]) -> str:

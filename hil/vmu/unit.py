@@ -217,11 +217,13 @@ class VisionUnit:
         self.solver.begin_pair(self.track.motion(t_s), self._vibration.sigma_px)
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         solution = solution or self._by_search(images, t_s, expected)
-        for camera, lights in zip(self._flicker, solution.spots, strict=True):
-            camera.add(lights)
-        if solution.status in (OK, SUSPECT) or not (why := next(filter(None, (c.reason() for c in self._flicker)), "")):
+        if solution.status not in (CROWDED, BUDGET):  # of which some lights are missing
+            for camera, lights in zip(self._flicker, solution.spots, strict=True):
+                camera.add(lights)
+        if solution.status in (OK, SUSPECT):
             return solution
-        return replace(solution, doubt=Doubt(why))
+        why = refusals.blooming(images) or next(filter(None, (camera.reason() for camera in self._flicker)), "")
+        return replace(solution, doubt=Doubt(why)) if why else solution
 
     @property
     def ghosts(self) -> tuple[LensGhosts, ...]:
@@ -433,8 +435,7 @@ class VisionUnit:
         doubt = doubt_of_lights(self.solver.scene, view, fit)
         if self.track.poses == 1:
             self._consistency.restart()
-            self._vibration.restart()
-        self._vibration.add(fit)
+        self._vibration.add(fit, is_first=self.track.poses == 1)
         if doubt is None:
             if self.solver.scene.vibration == 0.0:
                 self._consistency.add(view, fit)

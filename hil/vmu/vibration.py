@@ -1,7 +1,8 @@
 """Vibration of the cameras: their images are displaced against each other, in each pair otherwise.
 
-The pose cannot explain a shift of the right image across the baseline. Its changes from pair to pair of a track, beyond
-the noise of the spots, are those of the cameras' pointing. Cameras that vibrate alike show none: ``vibration_px``.
+The pose cannot explain a shift of the right image across the baseline. Its changes from pair to pair, beyond the noise
+of the spots, are those of the cameras' pointing; from a track to the next one, beyond the tolerances too, whose errors
+differ with the place in the images. Cameras that vibrate alike, and a single pair, show none: ``vibration_px``.
 """
 
 from __future__ import annotations
@@ -14,25 +15,25 @@ import numpy as np
 from hil.core.messages import Array
 
 _PAIRS: Final = 32
-_SIGNIFICANT: Final = 3.0  # sigmas of the variance of noise alone
+_SIGNIFICANT: Final = 4.0  # sigmas of the variance of noise alone
 _FEW: Final = 2.0  # by their fraction of the pairs the estimate is enlarged
 
 
 class Vibration:
-    """Vibration of a camera, px, 1 sigma along each axis: as stated, or as the pairs of a track show if it is more."""
+    """Vibration of a camera, px, 1 sigma along each axis: as stated, or as the pairs show if it is more."""
 
     def __init__(self, stated_px: float) -> None:
         self._stated_px = stated_px
         self._shifts: deque[tuple[float, float]] = deque(maxlen=_PAIRS)
 
-    def restart(self) -> None:
-        """Forget the pairs of an earlier track."""
-        self._shifts.clear()
-
-    def add(self, fit: np.void) -> None:
-        """Add a pair by its pose (FIT)."""
-        if fit["shift_noise"] > 0.0:
-            self._shifts.append((float(fit["shift_px"]), float(fit["shift_noise"])))
+    def add(self, fit: np.void, *, is_first: bool) -> None:
+        """Add a pair by its pose (FIT). is_first: of a track."""
+        shift_px, variance, sigmas = (float(each) for each in (fit["shift_px"], fit["shift_noise"], fit["shift"][1]))
+        if is_first and sigmas != 0.0:
+            learnt = self.sigma_px**2 - self._stated_px**2
+            variance = max(variance, (shift_px / sigmas) ** 2 - learnt)
+        if variance > 0.0:
+            self._shifts.append((shift_px, variance))
 
     @property
     def sigma_px(self) -> float:
@@ -41,7 +42,7 @@ class Vibration:
         if steps < 1:
             return self._stated_px
         shifts, noise = np.array(self._shifts).T
-        square, usual = 0.5 * float(np.mean(np.diff(shifts) ** 2)), float(noise.mean())
+        square, usual = 0.5 * float(np.mean(np.diff(shifts) ** 2)), float(noise[1:].mean())
         if square < usual * (1.0 + _SIGNIFICANT * np.sqrt(2.0 / steps)):
             return self._stated_px
         return max(self._stated_px, float(np.sqrt(square * (1.0 + _FEW / steps))))

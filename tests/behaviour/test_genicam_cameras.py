@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
+from hil.config.camera_identity import read_identities
 from hil.config.tables.cameras import CameraHabits, VisionCameras
 from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
 from hil.drivers.cameras.interfaces import open_camera
+from hil.drivers.cameras.processes import CameraProcesses
 from hil.errors import DeviceError
 from hil.parts.cameras.aid_server import AidServer
 from hil.parts.emulation.cameras import CameraEmulator
@@ -59,6 +61,26 @@ def test_images_arrive_bit_for_bit_with_consecutive_numbers_and_rising_stamps(em
     assert all(frame.image is not None and np.array_equal(frame.image, IMAGE) for frame in frames)
     assert {b.number - a.number for a, b in pairwise(frames)} == {1}
     assert all(b.stamp_s > a.stamp_s for a, b in pairwise(frames))
+
+
+def test_file_of_another_camera_than_the_emulated_one_is_refused(emulator: CameraEmulator) -> None:
+    """Another serial number, region, binning or orientation, by what the camera reports over its wire."""
+    camera = opened()
+    cameras = CameraProcesses.__new__(CameraProcesses)
+    cameras.identities = {"vmu.left": camera.identity}
+    camera.close()
+    known = emulator.identity(SIZE)
+    assert cameras.check_identities({"vmu.left": known}) == ""
+    others = {
+        "serial": "X",
+        "sensor_px": (800, 600),
+        "offset_px": (176, 120),
+        "binning": (2, 1),
+        "reversed": (True, False),
+    }
+    for key, value in others.items():
+        with pytest.raises(DeviceError, match=rf"^vmu\.left: {key} .*: calibrate this camera$"):
+            cameras.check_identities({"vmu.left": known.model_copy(update={key: value})})
 
 
 def test_sixteen_bits_are_reduced_to_eight(emulator: CameraEmulator) -> None:
@@ -125,6 +147,7 @@ def test_set_up_aid_measures_two_cameras_and_saves_what_its_page_asks_for(
         saved = sorted((tmp_path / "pairs" / side).iterdir())
         assert [path.name for path in saved] == ["0000.png", "0001.png", "0002.png"]
         np.testing.assert_array_equal(cv2.imread(str(saved[0]), cv2.IMREAD_GRAYSCALE), IMAGE)
+        assert read_identities(tmp_path / "pairs")[side] is not None
 
 
 def made(**habits: object) -> CameraHabits:

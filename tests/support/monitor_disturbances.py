@@ -79,7 +79,8 @@ class MonitorRow:
 
     plate_m: place of the plate along y3 in the scene file. roll_deg: of the real ship, beyond its usual few degrees.
     roll_max_deg: in the scene file; None: as shipped. boxes: whether the ship has its boxes, in the scene file too.
-    frozen: number of images that are the one before, unsynced: that begin at another line.
+    frozen: number of images that are the one before, unsynced: that begin at another line. rate: of the real images,
+    relative to that of the scene file, by which they are stamped.
     """
 
     name: str
@@ -93,6 +94,7 @@ class MonitorRow:
     boxes: bool = True
     frozen: int = 0
     unsynced: int = 0
+    rate: float = 1.0
     expected: Expectation = USUAL_ROW
 
     def scene(self) -> Scene:
@@ -132,7 +134,7 @@ class MonitorRow:
         for k in range(FRAMES + self.lost):
             if k in left_out:
                 continue
-            t_s = k / scene.fps
+            t_s = k / (scene.fps * self.rate)
             image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
             if held is not None and still <= k < still + self.frozen:
                 image = held
@@ -276,6 +278,10 @@ MONITOR_ROWS = (
     MonitorRow(
         "focal length drifts by 0.06 % per s, stated", _normal(f_drift=6e-4),
         _stated(focal_drift_per_s=6e-4, focal_fraction=1e-3), expected=_SAME
+    ),
+    MonitorRow(
+        "23.976 images per second taken for 25, stated", _always(), CameraTolerances(rate_fraction=0.05),
+        rate=23.976 / 25.0, expected=_SAME
     ),
     MonitorRow(
         "aspect 1 %, not stated", _always(aspect=0.01), CameraTolerances(),

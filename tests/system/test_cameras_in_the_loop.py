@@ -36,6 +36,7 @@ pytestmark = pytest.mark.wires
 PASSED, FAILED = 0, 1
 SOURCE = "vmu.source=cameras"
 FRAMES = 40
+OTHERS = {"serial": "X", "offset_px": [528, 512], "binning": [2, 2], "reversed": [True, False]}
 
 
 def run(duration_s: float, commands: dict[str, str] | None = None, killed: str = "") -> Outcome:
@@ -158,7 +159,9 @@ def test_a_run_begins_with_the_drift_check_and_a_camera_that_moved_refuses_it(
 
 
 @pytest.mark.slow
-def test_computer_without_cameras_gets_its_first_pose_in_two_commands(tmp_path: Path) -> None:
+def test_computer_without_cameras_gets_its_first_pose_in_two_commands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The last section of docs/how-to/use-cameras.md."""
     require_libaravis()
     geometry, poses = tmp_path / "vmu.json", tmp_path / "poses.csv"
@@ -169,12 +172,21 @@ def test_computer_without_cameras_gets_its_first_pose_in_two_commands(tmp_path: 
             assert [desk.stdout.readline().split()[0] for _ in range(3)] == ["vmu.left", "vmu.right", "Ctrl-C"]
             options = ("--geometry", str(geometry), "--out", str(poses), "--frames", "5")
             assert execute(["vmu", f"camera:{LEFT},{RIGHT}", *options]) == PASSED
+            for key, value in OTHERS.items():
+                other = json.loads(geometry.read_text())
+                other["right"]["identity"][key] = value
+                (tmp_path / "other.json").write_text(json.dumps(other))
+                options = ("--geometry", str(tmp_path / "other.json"), "--out", str(tmp_path / "no.csv"))
+                capsys.readouterr()
+                assert execute(["vmu", f"camera:{LEFT},{RIGHT}", *options]) == SAFE_STOPPED
+                (line,) = capsys.readouterr().err.splitlines()
+                assert f"vmu.right: {key} " in line
             desk.send_signal(signal.SIGINT)
             desk.communicate(timeout=20)
         finally:
             desk.kill()
     with poses.open() as file:
-        assert [row["status"] for row in csv.DictReader(file)] == ["ok"] * 5
+        assert [(row["status"], row["identity"]) for row in csv.DictReader(file)] == [("ok", "proven")] * 5
 
 
 def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from hil.cli.main import INCOMPLETE, execute
-from hil.config.load import load_scene
+from hil.config.load import load_rig, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import GEOMETRY_FILE, SCENE_FILE
@@ -21,6 +21,7 @@ from hil.parts.vision.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.images import pairs, recorded_images
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
+from hil.vmu.geometry import geometry_of_rig
 from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.xdist_group("vision unit")
@@ -111,6 +112,54 @@ def test_command_reports_that_all_is_the_same(path: Path, capsys: pytest.Capture
         "identical, bit by bit: the vision unit, 13 exposures, 13 poses",
         "identical, bit by bit: the docking monitor, 26 exposures, 3 portions",
     ]
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """A run of cameras that their geometry and scene files state, with these files."""
+    folder = tmp_path_factory.mktemp("identified")
+    identity = {"serial": "17", "offset_px": [512, 512], "binning": [1, 1], "reversed": [False, False]}
+    known = geometry_of_rig(load_rig("mock").value).model_dump(mode="json", exclude_none=True)
+    known["left"]["identity"], known["right"]["identity"] = identity, identity | {"serial": "18"}
+    geometry, scene = folder / "vmu.json", folder / "scene.json"
+    geometry.write_text(json.dumps(known))
+    scene.write_text(json.dumps({"extends": "atv", "camera": {"identity": identity}}))
+    files = f'rig.vmu.geometry_file="{geometry}"', f'monitor.scene="{scene}"'
+    return record(folder / "run", 1.0, *RENDERED, *ALL_PNG, *files), geometry, scene
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("serial", "19"), ("offset_px", [528, 512]), ("binning", [2, 2]), ("reversed", [True, False])],
+)
+def test_recording_of_another_camera_is_refused(
+    identified: tuple[Path, Path, Path], key: str, value: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, geometry, scene = identified
+    other = json.loads(geometry.read_text())
+    other["right"]["identity"][key] = value
+    (tmp_path / "vmu.json").write_text(json.dumps(other))
+    line = refused(capsys, "replay", str(path), "--vmu", "--geometry", str(tmp_path / "vmu.json"))
+    assert f"vmu.json: right.identity.{key}: {json.dumps(value)}: the recording has " in line
+    other = json.loads(scene.read_text())
+    other["camera"]["identity"][key] = value
+    (tmp_path / "scene.json").write_text(json.dumps(other))
+    line = refused(capsys, "replay", str(path), "--monitor", "--scene", str(tmp_path / "scene.json"))
+    assert f"scene.json: monitor.identity.{key}: {json.dumps(value)}: the recording has " in line
+
+
+def test_replay_states_whether_the_identity_is_proven(
+    identified: tuple[Path, Path, Path], path: Path, tmp_path: Path
+) -> None:
+    _, geometry, scene = identified
+    words = ["--vmu", "--geometry", str(geometry), "--monitor", "--scene", str(scene), "--json", str(tmp_path / "out")]
+    for recording, verdict in (
+        (identified[0], "proven"),
+        (path, "identity not proven: no serial and offset_px in images"),
+    ):
+        execute(["replay", str(recording), *words])
+        found = json.loads((tmp_path / "out").read_text())
+        assert (found["vmu"]["identity"], found["monitor"]["identity"]) == (verdict, verdict)
 
 
 def test_another_geometry_moves_the_poses_by_what_it_is_off(recorded: Recorded, tmp_path: Path) -> None:

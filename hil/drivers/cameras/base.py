@@ -131,6 +131,11 @@ def to_8_bits(raw: np.ndarray, bits: int) -> np.ndarray:
     return reduced
 
 
+def centred(sensor: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """Return the corner of the region (width, height) in the middle of a sensor, px."""
+    return (sensor[0] - size[0]) // 2, (sensor[1] - size[1]) // 2
+
+
 def check_size(name: str, actual: tuple[int, int], size: tuple[int, int]) -> None:
     """Raise DeviceError if a camera's images, (width, height), are of another size than the geometry's."""
     if actual != size:

@@ -17,6 +17,7 @@ from hil.drivers.cameras.base import (
     SHUTTER,
     CameraFrame,
     CameraInfo,
+    centred,
     check_gain_limits,
     check_gain_set,
     check_gain_unit,
@@ -71,7 +72,7 @@ class GenicamCamera:
         self._do("sensor size", library.camera_get_sensor_size, camera, *map(ctypes.byref, sensor))
         if sensor[0].value < width or sensor[1].value < height:
             check_size(self._name, (sensor[0].value, sensor[1].value), self._size)
-        corner = (sensor[0].value - width) // 2, (sensor[1].value - height) // 2
+        corner = centred((sensor[0].value, sensor[1].value), self._size)
         self._do("region", library.camera_set_region, camera, *corner, width, height)
         region = tuple(ctypes.c_int() for _ in range(4))
         self._do("region", library.camera_get_region, camera, *map(ctypes.byref, region))

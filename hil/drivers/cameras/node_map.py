@@ -14,6 +14,7 @@ from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import (
     EXPOSURE_STARTS,
     SHUTTER,
+    centred,
     check_gain_limits,
     check_gain_set,
     check_gain_unit,
@@ -117,7 +118,7 @@ class NodeMap:
         for feature in offsets:
             axis = _OFFSETS.index(feature)
             step = self.whole(feature, "inc")
-            self.set(feature, (sensor[axis] - size[axis]) // 2 // step * step)
+            self.set(feature, centred(sensor, size)[axis] // step * step)
 
     def _set_trigger(self, settings: CameraSettings, rate_hz: float) -> None:
         selectors = self._choices("TriggerSelector") if self.has("TriggerSelector") else ()

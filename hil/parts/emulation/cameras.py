@@ -16,10 +16,11 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.camera_identity import CameraIdentity
 from hil.config.rig import Vmu
 from hil.config.tables.cameras import CameraHabits
 from hil.core.clock import WallClock
-from hil.drivers.cameras.base import EXPOSURE_STARTS
+from hil.drivers.cameras.base import EXPOSURE_STARTS, centred
 from hil.drivers.cameras.libaravis import FILL, Aravis, aravis
 from hil.drivers.vmu import NAME
 from hil.errors import DeviceError, LinkLost
@@ -62,17 +63,22 @@ class CameraEmulator:
         self._camera: int | None = None
         self._fill = FILL(self._fill_buffer)
         self._last: np.ndarray | None = None
+        self._serial = name.replace(".", "-").upper()
+
+    def identity(self, size: tuple[int, int]) -> CameraIdentity:
+        """Return what it reports of itself to a driver that sets images of ``size`` (width, height), px."""
+        offset = centred(self._sensor, size)
+        return CameraIdentity(serial=self._serial, sensor_px=self._sensor, offset_px=offset, binning=(1, 1))
 
     def start(self) -> dict[str, str]:
         """Open the camera's port; return ``{name: address}``. Raises LinkLost, DeviceError without libaravis."""
         self._library = aravis(self._name)
         add_loopback_address(self._name, self._address)
         check_port(self._name, self._address)
-        serial = self._name.replace(".", "-").upper()
         with NamedTemporaryFile(suffix=".xml") as file:
             file.write(_description(self._library, self._habits))
             file.flush()
-            names = [text.encode() for text in (self._address, serial, file.name)]
+            names = [text.encode() for text in (self._address, self._serial, file.name)]
             self._camera = self._library.gv_fake_camera_new_full(*names)
         if not self._library.gv_fake_camera_is_running(self._camera):
             raise LinkLost(self._name, f"{self._address}: no address of a network interface of this host")

@@ -61,10 +61,15 @@ def _emulate_cameras(scenario: str, folder: str | None, settings: Settings, geom
     loaded = load_scenario(scenario, settings)
     rig = with_cameras(loaded, load_rig("emulated", settings)).value
     images = images_of_folder(Path(folder), rig) if folder is not None else images_at_start(loaded.value, rig)
-    if geometry_out is not None:
-        write_text(calibrated_geometry(rig).model_dump_json(), geometry_out)
     clock, stop, console = WallClock(), threading.Event(), Console()
     cameras = [emulated_camera(rig.vmu, clock, image_at, side) for side, image_at in zip(SIDES, images, strict=True)]
+    if geometry_out is not None:
+        known = calibrated_geometry(rig)
+        sides = {
+            side: camera.model_copy(update={"identity": emulator.identity((camera.width, camera.height))})
+            for side, camera, emulator in zip(SIDES, (known.left, known.right), cameras, strict=True)
+        }
+        write_text(known.model_copy(update=sides).model_dump_json(), geometry_out)
     threads = [threading.Thread(target=camera.run, args=(stop,), daemon=True) for camera in cameras]
     try:
         for camera, thread in zip(cameras, threads, strict=True):

@@ -22,7 +22,7 @@ from hil.params import bench as bench_params
 from hil.parts.cameras.pose_sensor import estimator_of_unit
 from hil.parts.cameras.rendered import RenderedCameras
 from hil.parts.emulation.cameras import CameraEmulator
-from hil.parts.emulation.emulated_vision import seen_axes
+from hil.parts.emulation.emulated_vision import SeenAxes, seen_axes
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.parts.monitor import params as monitor_params
 from hil.parts.monitor.camera import view
@@ -41,18 +41,15 @@ Images = Callable[[float], np.ndarray]
 
 def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, side: str) -> Images:
     """Return the images of the camera ``side`` over bench time, s; its kernels are compiled when this returns."""
-    camera = SIDES.index(side)
+    return _images(scenario, rig, seed, SIDES.index(side), seen_axes(scenario, rig, board))
+
+
+def _images(scenario: Scenario, rig: Rig, seed: int, camera: int, seen: SeenAxes) -> Images:
     cameras = rendered_cameras(scenario, rig, seed)
     noise, warm_up = stream(seed, "pictures").spawn(2)[camera], stream(seed, "pictures")
     start = start_axes(scenario, rig)
     cameras.image(camera, start.rail_m, start.gimbal_rad, warm_up)
-
-    seen = seen_axes(scenario, rig, board)
-
-    def image_at(t_s: float) -> np.ndarray:
-        return cameras.image(camera, *seen(t_s), noise)
-
-    return image_at
+    return lambda t_s: cameras.image(camera, *seen(t_s), noise)
 
 
 def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
@@ -97,10 +94,10 @@ def emulated_television(
 
 
 def images_at_start(scenario: Scenario, rig: Rig) -> tuple[Images, Images]:
-    """Return the images of both cameras with the axes at the start of ``scenario``, the same at all times."""
+    """Return the images of both cameras with the axes at the start of ``scenario``, each with noise of its own."""
     start = start_axes(scenario, rig)
-    left, right = rendered_cameras(scenario, rig, 0).pair(start.rail_m, start.gimbal_rad, stream(0, "pictures"))
-    return lambda _: left, lambda _: right
+    left, right = (_images(scenario, rig, 0, side, lambda _: (start.rail_m, start.gimbal_rad)) for side in range(2))
+    return left, right
 
 
 def images_of_folder(folder: Path, rig: Rig) -> tuple[Images, Images]:

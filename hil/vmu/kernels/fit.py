@@ -125,7 +125,7 @@ def fill_points(box, p, model, light, slopes, spans):
                 slopes[a + V, at] = flux * by_v[1, i] * by_u[0, j]
                 slopes[a + SIGMA, at] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
         for m in range(a, a + POINT):
-            spans[m, 0] = min(first, last) * across // 8 * 8  # as ``dot`` has it
+            spans[m, 0] = min(first, last) * across // 8 * 8  # as ``dot`` groups them
             spans[m, 1] = last * across
 
 
@@ -198,14 +198,16 @@ def invert(a, out):
 
 
 @kernel
-def dot(x, y, first, last):
-    """Return the product of two vectors from ``first``, a multiple of eight, to ``last``, which is not included.
+def dot(x, y):
+    """Return the product of two vectors.
 
-    In eight partial sums: the processor adds four at once, and the next four while it waits for these.
+    In eight partial sums: the processor adds four at once, and the next four while it waits for these. Only a loop
+    that begins at a constant is vectorised: of an index that may be negative, Numba tests the sign.
     """
-    whole = last - last % 8
+    n = x.shape[0]
+    whole = n - n % 8
     a = b = c = d = e = f = g = h = 0.0
-    for k in range(first, whole, 8):
+    for k in range(0, whole, 8):
         a += x[k] * y[k]
         b += x[k + 1] * y[k + 1]
         c += x[k + 2] * y[k + 2]
@@ -214,7 +216,7 @@ def dot(x, y, first, last):
         f += x[k + 5] * y[k + 5]
         g += x[k + 6] * y[k + 6]
         h += x[k + 7] * y[k + 7]
-    for k in range(whole, last):
+    for k in range(whole, n):
         a += x[k] * y[k]
     return ((a + b) + (c + d)) + ((e + f) + (g + h))
 
@@ -230,16 +232,17 @@ def gather(f, normal, right):
         gap[at] = 0.0 if clipped else level - model
         weight[at] = 0.0 if clipped else f.weighed[at] / (f.dark + f.per_level * (light if light > 0.0 else 0.0))
         scaled[at] = weight[at] * gap[at]
-    total = dot(scaled, gap, 0, count)
+    total = dot(scaled, gap)
     products = 0.0
     for i in range(n):
         first, last = f.spans[i, 0], f.spans[i, 1]
-        for at in range(first, last):
-            scaled[at] = weight[at] * f.slopes[i, at]
-        right[i] = dot(scaled, gap, first, last)
+        here, slopes, by = scaled[first:last], f.slopes[i, first:last], weight[first:last]
+        for at in range(here.shape[0]):
+            here[at] = by[at] * slopes[at]
+        right[i] = dot(here, gap[first:last])
         for j in range(i + 1):
             begin, end = max(first, f.spans[j, 0]), min(last, f.spans[j, 1])
-            normal[i, j] = dot(scaled, f.slopes[j], begin, end) if begin < end else 0.0
+            normal[i, j] = dot(scaled[begin:end], f.slopes[j, begin:end]) if begin < end else 0.0
             normal[j, i] = normal[i, j]
             products += max(end - begin, 0) * (0.5 if i == j else 1.0)
     f.work[0] -= products + count * _WORK_OF_PIXEL

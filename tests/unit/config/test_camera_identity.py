@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,8 @@ from hil.cli.main import execute
 from hil.config.camera_identity import (
     CAMERAS_FILE,
     CameraIdentity,
-    check_recorded,
+    check_same,
+    file_doubt,
     identity_doubt,
     identity_problem,
     write_identities,
@@ -43,7 +45,7 @@ def test_each_key_of_another_camera_is_named_with_both_values(key: str, value: o
     problem = identity_problem({"left": STATED}, {"left": other})
     assert problem == ("left", key, json.dumps(getattr(STATED, key)), json.dumps(value))
     with pytest.raises(BadInput, match=rf"^other\.toml: left\.identity\.{key}: "):
-        check_recorded({"left": STATED}, {"left": other}, "other.toml")
+        check_same({"left": STATED}, {"left": other}, "other.toml", "the recording has")
     assert identity_problem({"left": STATED.model_copy(update={key: None})}, {"left": other}) is None
 
 
@@ -68,8 +70,12 @@ def test_features_of_a_camera_are_its_identity() -> None:
         return SimpleNamespace(value=nodes[feature]) if feature in nodes else None
 
     assert NodeMap("vmu.left", find, RuntimeError).identity == STATED.model_copy(update={"lens": None, "date": None})
+    nodes["ReverseX"] = True
+    del nodes["ReverseY"]  # most cameras mirror along u alone
+    assert NodeMap("vmu.left", find, RuntimeError).identity.reversed == (True, False)
     nodes.clear()
-    assert NodeMap("vmu.left", find, RuntimeError).identity == CameraIdentity()
+    nothing = NodeMap("vmu.left", find, RuntimeError).identity
+    assert nothing == CameraIdentity(binning=(1, 1), reversed=(False, False))
 
 
 def test_an_open_camera_that_is_another_one_is_refused_by_its_name() -> None:
@@ -108,26 +114,50 @@ def test_images_of_another_camera_are_refused_in_one_line(
     assert "cameras.json: not identities of cameras" in capsys.readouterr().err
 
 
-def test_verdict_states_whether_the_identity_is_proven(pair: tuple[Path, Path]) -> None:
+def identities_in(path: Path) -> set[str]:
+    with path.open(newline="") as file:
+        return {row["identity"] for row in csv.DictReader(file)}
+
+
+def test_verdict_and_each_row_state_whether_the_identity_is_proven(pair: tuple[Path, Path]) -> None:
     folder, geometry = pair
     report = folder / "report.json"
     words = ["vmu", str(folder), "--geometry", str(geometry), "--out", str(folder / "poses.csv"), "--json", str(report)]
     execute(words)
     bare = json.loads(report.read_text())
     assert bare["identity"].startswith("identity not proven: ")
+    assert identities_in(folder / "poses.csv") == {"identity not proven"}
     write_identities({"left": STATED, "right": STATED}, folder)
     execute(words)
     proven = json.loads(report.read_text())
     assert proven["identity"] == "proven"
     assert proven["status"] == bare["status"]
+    assert identities_in(folder / "poses.csv") == {"proven"}
 
 
-def test_images_of_another_television_camera_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_file_that_states_no_camera_is_named_when_it_is_written() -> None:
+    assert file_doubt({"left": STATED, "right": STATED}, "vmu.toml") == ""
+    assert file_doubt({"left": STATED, "right": None}, "vmu.toml").startswith("vmu.toml: identity not proven, ")
+
+
+@pytest.mark.parametrize("is_video", [False, True])
+def test_images_of_another_television_camera_are_refused(
+    is_video: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     camera = load_scene("atv").value.camera
     image = np.zeros((camera.height, camera.width), np.uint8)
     assert cv2.imwrite(str(tmp_path / "0001.png"), image)
+    video = tmp_path / "video.mkv"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"FFV1"), 12.5, image.shape[::-1], isColor=False)
+    for _ in range(3):
+        writer.write(image)
+    writer.release()
+    source, out = str(video if is_video else tmp_path), tmp_path / "out.csv"
     scene = tmp_path / "mine.toml"
     scene.write_text(as_toml({"extends": "atv", "camera": {"identity": STATED.model_dump(exclude_none=True)}}, "Mine."))
     write_identities({"monitor": STATED.model_copy(update={"reversed": (True, False)})}, tmp_path)
-    assert execute(["monitor", str(tmp_path), "--scene", str(scene), "--out", str(tmp_path / "out.csv")]) == 2
+    assert execute(["monitor", source, "--scene", str(scene), "--out", str(out)]) == 2
     assert "monitor.identity.reversed: [false, false]: the images of" in capsys.readouterr().err
+    write_identities({"monitor": STATED}, tmp_path)
+    assert execute(["monitor", source, "--scene", str(scene), "--out", str(out)]) == 0
+    assert identities_in(out) == {"proven"}

@@ -37,6 +37,14 @@ def test_many_images_lost_without_a_gap_are_found_by_the_motion() -> None:
     assert np.abs(np.concatenate(tally.ratios)).max() < 4.5
 
 
+def test_sigma_of_the_range_rate_includes_a_wrong_image_rate_that_is_stated() -> None:
+    row = BY_NAME["23.976 images per second taken for 25, stated"]
+    stated, exact = row.run(2, 6), replace(row, stated=None).run(2, 6)
+    assert stated.measured == exact.measured == 2
+    assert np.abs(np.concatenate(stated.ratios)).max() < 4.5, stated.line()
+    assert np.abs(np.concatenate(exact.ratios)).max() > 5.0, exact.line()
+
+
 def test_frozen_image_is_named(image: Image) -> None:
     monitor = DockingMonitor(SCENE)
     noisy = np.clip(image.astype(int) + np.random.default_rng(1).integers(-1, 2, image.shape), 0, 255).astype(np.uint8)

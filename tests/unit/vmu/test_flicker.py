@@ -15,11 +15,11 @@ from tests.support.vmu_pixels import PixelOptics
 
 
 def lights(rng: np.random.Generator, hz: float, row_s: float, images: int) -> list[np.ndarray]:
-    """Return the lights of a ring of eight LEDs in random places, in images that begin at random times."""
-    out = []
+    """Return the lights of a ring of eight LEDs that turns, in images that begin at random times."""
+    out, middle = [], rng.uniform(300.0, 700.0)
     for _ in range(images):
         spots = np.zeros(8, SPOT)
-        spots["v"] = rng.uniform(300.0, 700.0) + 120.0 * np.cos(np.arange(8) * 0.785 + rng.uniform(0.0, 6.3))
+        spots["v"] = middle + 120.0 * np.cos(np.arange(8) * 0.785 + rng.uniform(0.0, 6.3))
         wave = np.cos(2.0 * np.pi * (hz * row_s * spots["v"] + rng.random()))
         spots["flux"] = 1000.0 * np.clip(0.5 + wave, 0.02, None) * rng.uniform(0.2, 1.0)
         out.append(spots)
@@ -42,6 +42,16 @@ def test_steady_leds_of_which_some_are_hidden_do_not_flicker(rng: np.random.Gene
     for k in range(24):
         spots = np.zeros(3 if 8 < k < 14 else 6, SPOT)
         spots["flux"] = 1000.0 * rng.uniform(0.95, 1.05, len(spots))
+        camera.add(spots)
+    assert camera.reason() == ""
+
+
+def test_lights_of_other_scenes_do_not_flicker(rng: np.random.Generator) -> None:
+    camera = Flicker(0.0)
+    for k in range(24):
+        spots = np.zeros(6, SPOT)
+        spots["u"], spots["v"] = rng.uniform(100.0, 900.0, (2, 1)) + rng.uniform(-50.0, 50.0, (2, 6))
+        spots["flux"] = 1000.0 if k % 2 else 300.0
         camera.add(spots)
     assert camera.reason() == ""
 

@@ -81,6 +81,8 @@ def test_command_writes_the_sheet_and_the_key_of_the_geometry_file(
         "rig.vmu.estimator=apriltag",
     ]
     assert execute(command) == PASSED
-    assert f'{out}: its geometry file needs the key print = "official"' in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f'{out}: its geometry file needs the key print = "official"' in printed
+    assert f"{made}: identity not proven" in printed
     assert load_geometry(str(made)).value.print == "official"
     assert AprilTagSettings().family in out.read_text()

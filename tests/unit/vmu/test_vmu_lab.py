@@ -133,6 +133,23 @@ def test_refusal_has_cause_amount_and_remedy(lit: int, levels: float, status: st
     assert (solution.status, str(solution.doubt)) == (status, why)
 
 
+def test_blooming_is_named_and_a_shorter_exposure_cures_it() -> None:
+    rng, short = np.random.default_rng([11, 8]), np.random.default_rng(1)
+    row = next(row for row in CROWDED_ROWS if row.name == "blooming")
+    unit, other, refused = VisionUnit(known_geometry(VERY_GOOD)), VisionUnit(known_geometry(VERY_GOOD)), 0
+    for scene, truth in row.frames(rng, 4):
+        unit.track.drop()
+        solution = unit.solve(*scene.pair(truth.turn, truth.t_v, rng), 0.0)
+        if solution.pose is not None:
+            continue
+        refused += 1
+        assert str(solution.doubt).endswith(" pixels of a column at full scale, blooming: shorten the exposure")
+        less = replace(scene, optics=replace(scene.optics, peak_levels=180.0))
+        assert other.solve(*less.pair(truth.turn, truth.t_v, short), 0.0).status == "ok"
+        other.track.drop()
+    assert refused > 0
+
+
 @pytest.mark.parametrize("status", ["too_few", "rejected_no_match", "rejected_geometry", "rejected_geometry_file",
                                     "rejected_sync", "ambiguous"])  # fmt: skip
 def test_reason_of_a_refusal_fits_into_80_columns(status: str) -> None:

@@ -62,6 +62,7 @@ def aid(
     if save is not None and not Path(save).absolute().parent.is_dir():
         problems.append(Problem("--save", "", f"{save}: its parent folder does not exist"))
     refuse(problems)
+    from hil.config.camera_identity import write_identities
     from hil.parts.cameras.aid import SetUpAid
     from hil.parts.cameras.aid_server import AidServer
     from hil.vmu.unit import VisionUnit
@@ -90,6 +91,7 @@ def aid(
             whole = [name for name, frame in zip(_SIDES, frames, strict=True) if frame.image is not None]
             if folder is not None and saved is not None and len(whole) == len(_SIDES) and server.asked_to_save():
                 _write_pair(folder, saved, frames)
+                write_identities({name: each.identity for name, each in zip(_SIDES, cameras, strict=True)}, folder)
                 saved += 1
             server.show(numbers.as_json() | {"saved": saved}, dict(zip(whole, pictures, strict=True)))
             for camera, frame, control in zip(cameras, frames, exposures, strict=False):

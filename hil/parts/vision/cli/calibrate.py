@@ -387,9 +387,8 @@ def _identities(
     """
     from hil.config.camera_identity import check_folder, read_identities
 
-    folder = views if views.is_dir() else views.parent
-    check_folder(given, folder, source)
-    read = read_identities(folder)
+    check_folder(given, views, source)
+    read = read_identities(views)
     day = date or datetime.datetime.now().astimezone().date().isoformat()
     return {name: each and each.model_copy(update={"date": each.date or day}) for name, each in read.items()}
 
@@ -405,6 +404,7 @@ def _print_origin(read: str, is_identified: bool) -> None:
 
 def _interchange(views: str, start: InitialGuessOptions, out: str | None, settings: Sequence[str]) -> int:
     """Read or write the cameras of a pair as another program has them."""
+    from hil.config.camera_identity import file_doubt
     from hil.config.load import load_geometry, load_rig
     from hil.config.vmu_geometry import Tolerances
     from hil.vmu.calibration.files import as_toml
@@ -433,6 +433,8 @@ def _interchange(views: str, start: InitialGuessOptions, out: str | None, settin
     table = geometry.model_dump(exclude_none=True)
     write_text(as_toml(table, f"Vision unit, with the cameras of {views} ({start.source})."), out)
     say(f"{out}: state the accuracy of this calibration in [tolerances], and check the LEDs")
+    if doubt := file_doubt(geometry.identities, out):
+        say(doubt)
     return _PASSED
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.cli.output import deliver, notices, print_columns, say
-from hil.config.camera_identity import MONITOR_CAMERA, check_recorded
+from hil.config.camera_identity import MONITOR_CAMERA, PROVEN, check_same
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -18,6 +18,9 @@ from hil.parts.vision.replay_images import ImageComponent, ImagesReplayed, repla
 from hil.recording.read import Recorded, load
 
 _SAME, _DIFFERS = 0, 1
+_RECORDED: Final = "the recording has"
+Replayed = tuple[ImagesReplayed, bool, str]
+"""A replay, whether its geometry or scene was given, and a doubt about the identity of the cameras, or ""."""
 _SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 
 
@@ -26,44 +29,42 @@ def replay_images(
 ) -> int:
     """Replay the images of a recording; return the exit code. Raises BadInput if it has none."""
     recorded = load(Path(recording))
-    replays: dict[str, tuple[ImagesReplayed, bool]] = {}
+    replays: dict[str, Replayed] = {}
     with notices().status("replaying the images"):
         if vmu:
-            replayed = replay_vision_unit(recorded, _geometry(recorded, geometry), geometry)
-            replays["vmu"] = (replayed, geometry is not None)
+            stated, doubt = _geometry(recorded, geometry)
+            replays["vmu"] = (replay_vision_unit(recorded, stated, geometry), geometry is not None, doubt)
         if monitor:
-            replays["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
+            shown, doubt = _scene(recorded, scene)
+            replays["monitor"] = (replay_monitor(recorded, shown), scene is not None, doubt)
     deliver(_as_json(recorded, replays), json_path, lambda: _print(recorded, replays))
-    same = all(replayed.identical or changed for replayed, changed in replays.values())
+    same = all(replayed.identical or changed for replayed, changed, _ in replays.values())
     return _SAME if same else _DIFFERS
 
 
-def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
-    if path is not None:
-        given = load_geometry(path).value
-        if GEOMETRY_FILE in recorded.files:
-            check_recorded(given.identities, recorded.calibration(GEOMETRY_FILE, VmuGeometry).identities, path)
-        return given
-    if recorded.scenario.vmu.source != "rendered":
+def _geometry(recorded: Recorded, path: str | None) -> tuple[VmuGeometry, str]:
+    if path is None and recorded.scenario.vmu.source != "rendered":
         raise BadInput.single(str(recorded.path), "", 'holds no images of the vision unit: vmu.source was "model"')
-    return recorded.calibration(GEOMETRY_FILE, VmuGeometry)
+    then = recorded.calibration(GEOMETRY_FILE, VmuGeometry) if path is None or GEOMETRY_FILE in recorded.files else None
+    given = then if path is None else load_geometry(path).value
+    assert given is not None
+    at_run = then.identities if then else {}
+    return given, check_same(given.identities, at_run, path or str(recorded.path), _RECORDED)
 
 
-def _scene(recorded: Recorded, name: str | None) -> Scene:
+def _scene(recorded: Recorded, name: str | None) -> tuple[Scene, str]:
     monitor = recorded.scenario.monitor
     if not monitor.has_images:
         text = f'holds no images of a docking monitor: monitor.source was "{monitor.source}"'
         raise BadInput.single(str(recorded.path), "", text)
-    if name is None:
-        return recorded.calibration(SCENE_FILE, Scene)
-    given = load_scene(name).value
-    if SCENE_FILE in recorded.files:
-        now, then = given.camera.identity, recorded.calibration(SCENE_FILE, Scene).camera.identity
-        check_recorded({MONITOR_CAMERA: now}, {MONITOR_CAMERA: then}, name)
-    return given
+    then = recorded.calibration(SCENE_FILE, Scene) if name is None or SCENE_FILE in recorded.files else None
+    given = then if name is None else load_scene(name).value
+    assert given is not None
+    now, at_run = ({MONITOR_CAMERA: None if each is None else each.camera.identity} for each in (given, then))
+    return given, check_same(now, at_run, name or str(recorded.path), _RECORDED)
 
 
-def _as_json(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> dict[str, Any]:
+def _as_json(recorded: Recorded, replays: dict[str, Replayed]) -> dict[str, Any]:
     return {
         "recording": str(recorded.path),
         "run": recorded.run["run"],
@@ -82,17 +83,18 @@ def _as_json(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]
                 ],
                 "differences": [difference.as_json() for difference in replayed.differences],
                 "remarks": replayed.remarks,
+                "identity": doubt or PROVEN,
             }
-            for name, (replayed, changed) in replays.items()
+            for name, (replayed, changed, doubt) in replays.items()
         },
     }
 
 
-def _print(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> None:
-    for name, (replayed, _) in replays.items():
+def _print(recorded: Recorded, replays: dict[str, Replayed]) -> None:
+    for name, (replayed, changed, doubt) in replays.items():
         what = "poses" if name == "vmu" else "portions"
         of = f"{replayed.of}, {replayed.images} exposures, {replayed.compared} {what}"
-        for remark in replayed.remarks:
+        for remark in (*replayed.remarks, *([doubt] if changed and doubt else [])):
             say(remark)
         if replayed.identical:
             say(f"identical, bit by bit: {of}")

@@ -38,6 +38,7 @@ def print_target(
     geometry_out
         Geometry file (*.toml) to write: that of the rig, with the key print.
     """
+    from hil.config.camera_identity import file_doubt
     from hil.config.load import load_rig
     from hil.parts.cameras.pose_sensor import geometry_of_unit
     from hil.vmu.calibration.files import as_toml
@@ -51,5 +52,5 @@ def print_target(
         geometry = geometry_of_unit(vmu).model_copy(update={"print": way})
         table = geometry.model_dump(exclude_none=True)
         write_text(as_toml(table, f"Vision unit, with the target printed from {Path(out).name}."), geometry_out)
-        say(geometry_out)
+        say(file_doubt(geometry.identities, geometry_out) or geometry_out)
     return 0

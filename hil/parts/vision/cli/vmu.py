@@ -56,6 +56,7 @@ COLUMNS = (
     *(f"sight_{axis}" for axis in "xyz"),
     "sigma_sight_rad",
     "doubt",
+    "identity",
 )
 _ENOUGH = 5  # measured pairs
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
@@ -143,7 +144,7 @@ def vmu(
         File for the counts, - for standard output.
     """
     from hil.cli.warm_up import exit_on_ctrl_c
-    from hil.config.camera_identity import PROVEN, check_folder, identity_doubt
+    from hil.config.camera_identity import PROVEN, check_folder
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
     from hil.vmu.sources import ImageFolder, StreamPairs, exposures, names_two
@@ -151,7 +152,7 @@ def vmu(
 
     loaded = load_geometry(geometry).value
     images: ImageFolder | StreamPairs | CameraPairs
-    doubt = identity_doubt(loaded.identities, {})
+    doubt = check_folder(loaded.identities, Path(folder.partition(",")[0]), geometry)
     if (cameras := _genicam(folder)) is not None:
         images, count = _camera_pairs(cameras, loaded, rate_hz), None
         doubt = images.identity_doubt
@@ -161,7 +162,6 @@ def vmu(
     else:
         images = ImageFolder(Path(folder), start.start_frame)
         _check_size(images, loaded, geometry)
-        doubt = check_folder(loaded.identities, Path(folder), geometry)
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
     endless = live or cameras is not None
@@ -177,6 +177,7 @@ def vmu(
         Path(overlay).mkdir(exist_ok=True)
     first = _start(start.start_pose)
     rows, solutions = [], []
+    identity = {"identity": doubt.partition(":")[0] or PROVEN}
     with ExitStack() as stack:
         if not isinstance(images, ImageFolder):
             stack.enter_context(closing(images))
@@ -189,7 +190,7 @@ def vmu(
             solution = solve(unit, pair, t_s, first if done == 0 else None)
             if line is not None:
                 line.send(solution.frame(0, t_s), t_s)
-            rows.append(row(pair.frame, solution))
+            rows.append(row(pair.frame, solution) | identity)
             solutions.append(solution)
             if overlay is not None and isinstance(unit, VisionUnit):
                 _write_overlay(Path(overlay), unit, pair, solution)
@@ -295,7 +296,7 @@ def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
 
 
 def row(frame: int, solution: Solution) -> dict[str, Any]:
-    """Return the row of ``solution`` under COLUMNS; nan without a pose."""
+    """Return the row of ``solution`` under COLUMNS but ``identity``; nan without a pose."""
     import numpy as np
 
     values, sigmas = np.full(6, math.nan), np.sqrt(np.diag(solution.covariance))
@@ -307,7 +308,7 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
     numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale, *sight)]
     head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
     doubt = "" if solution.doubt is None else str(solution.doubt)
-    return dict(zip(COLUMNS, (*head, *numbers, doubt), strict=True))
+    return dict(zip(COLUMNS[:-1], (*head, *numbers, doubt), strict=True))
 
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
