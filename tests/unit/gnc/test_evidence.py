@@ -85,10 +85,10 @@ def test_thruster_that_fails_is_named_on_a_chaser_that_swings_and_one_that_does_
 
 
 def test_valves_of_a_pair_that_close_late_are_none_that_is_open(rng: np.random.Generator) -> None:
-    state, thrust = new(EVIDENCE_STATE), np.zeros(16)
+    state, thrust, closes = new(EVIDENCE_STATE), np.zeros(16), 0
     for cycle in range(round(13.0 / STEP_S)):
-        thrust[0] = thrust[9] = 1.0 if cycle % 8 < 5 else 0.0
-        late = 0.7 if cycle % 8 in (5, 6) else 0.0
-        residual = 0.02 * rng.standard_normal(6) + late * (SIGNATURES[0] + SIGNATURES[9])
+        closes = int(rng.integers(1, 7)) if cycle % 8 == 0 else closes
+        thrust[0] = thrust[9] = 1.0 if cycle % 8 < closes else 0.0
+        residual = 0.02 * rng.standard_normal(6) + 0.5 * (1.0 - thrust[0]) * (SIGNATURES[0] + SIGNATURES[9])
         evidence.keep(state, residual, thrust, 16, False)
     assert not evidence.names_thruster(state, SIGNATURES, 9, True)
