@@ -89,6 +89,22 @@ def test_fault_of_the_unit_or_its_wire_is_no_sign_of_life(
     if counter:
         assert vmu.counters()[counter] > 0
         assert f"{counter} " in str(error)
+    of_clock = counter == "clock_jumps" and unit_clock == "shared"
+    assert ("from the future: the unit's clock is ahead" in str(error)) == of_clock
+
+
+def test_shared_clock_that_is_1000_ppm_fast_is_named_when_its_stamps_are_ahead() -> None:
+    with emulated() as (emulator, vmu, clock):
+        vmu.open(clock.now_s())
+
+        def fly() -> None:
+            while clock.now_s() < 300.0:
+                emulator.faults.on("clock_jump", value=1e-3 * clock.now_s())
+                clock.sleep(0.1)
+                vmu.poll(clock.now_s())
+
+        with pytest.raises(LinkTimeout, match="from the future: the unit's clock is ahead"):
+            fly()
 
 
 def test_unit_clock_that_jumps_back_is_not_trusted() -> None:

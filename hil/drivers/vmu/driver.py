@@ -66,6 +66,7 @@ class Rs422Vmu:
         self._decoder: FrameDecoder = self._codec.decoder(self._of_datagrams)
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
+        self._future_s = 0.0  # by which the newest stamp of a shared clock was ahead of its reception
 
     def open(self, now_s: float) -> None:
         """Open the port and start to read; the time-out runs from ``now_s``. Raises LinkLost.
@@ -145,7 +146,9 @@ class Rs422Vmu:
     def _hint(self) -> str:
         """Return the counters, for diagnosis: a wrong baud rate shows as skipped bytes."""
         seen = ", ".join(f"{name} {count}" for name, count in self._counted().items() if count)
-        return f" (since open: {seen})" if seen else ""
+        ahead = self._future_s
+        future = f", the newest {ahead:.4f} s from the future: the unit's clock is ahead" if ahead > 0.0 else ""
+        return f" (since open: {seen}{future})" if seen else ""
 
     def _receive(self, data: bytes, received_s: float) -> None:
         for decoded in self._decoder.feed(data, received_s):
@@ -181,6 +184,7 @@ class Rs422Vmu:
         """Whether a time of exposure is impossible: after reception, long before it, or far from its neighbours."""
         age_s = received_s - stamp_s
         if not self._own_clock:
+            self._future_s = -age_s if age_s < -_CLOCKS_AGREE_S else 0.0
             return not -_CLOCKS_AGREE_S <= age_s <= _OLDEST_S
         return bool(self._offsets) and abs(age_s - min(self._offsets)) > _JUMP_S
 
