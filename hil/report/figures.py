@@ -114,7 +114,7 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
         whole.legend(loc="upper right", ncols=3, fontsize=8)
         least = allowed[key].min()
         close.axhspan(-least, least, color="0.93", zorder=0)
-        for i in np.flatnonzero(allowed[key] > least):
+        for i in np.flatnonzero(allowed[key] > least).tolist():
             close.hlines((-allowed[key][i], allowed[key][i]), 0.0, last_s, COLOURS[i], linestyles="--", linewidth=0.8)
         close.set_ylim(-1.3 * allowed[key].max(), 1.3 * allowed[key].max())
         begin_s = max(0.0, (verdict.ready_time_s if verdict.ready_time_s is not None else last_s - 60.0) - 20.0)
