@@ -120,7 +120,7 @@ def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
         begin_s = max(0.0, (verdict.ready_time_s if verdict.ready_time_s is not None else last_s - 60.0) - 20.0)
         close.set_xlim(begin_s, max(last_s, begin_s + scenario.step_s))
     axes[0, 0].set_title("whole run; dotted: ready", loc="left", fontsize=10)
-    axes[0, 1].set_title("at the end; Table III: grey, dashed where an axis has more", loc="left", fontsize=10)
+    axes[0, 1].set_title("at the end; grey, dashed: Table III", loc="left", fontsize=10)
     for plot in axes[3]:
         plot.set_xlabel("time, s")
     return figure
