@@ -24,6 +24,11 @@ from enum import Enum
 from typing import Any, Final
 
 _LONGEST_LINE: Final = 2000
+_EXTRAS: Final = {
+    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
+    "websockets": "console", "pyarrow": "campaign", "distributed": "campaign", "pytest": "dev",
+}  # fmt: skip
+"""Package that only some capabilities need -> the extra that installs it."""
 _SIMILAR_MAX: Final = 3
 
 
@@ -36,6 +41,12 @@ def one_line(text: str, longest: int = _LONGEST_LINE) -> str:
     shown = text[:longest].replace("\n", " ")
     plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
     return plain if len(text) <= longest else f"{plain}..."
+
+
+def missing_package(error: ModuleNotFoundError) -> str:
+    """Return the text for a package that an extra installs, "" for any other module."""
+    extra = _EXTRAS.get(error.name or "")
+    return f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'" if extra else ""
 
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:

@@ -28,7 +28,6 @@ from hil.core.build_info import version_text
 from hil.core.incomplete import INCOMPLETE, take_incomplete
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
-from hil.core.public import missing_package
 from hil.core.surroundings import (
     GARBAGE_THRESHOLD,
     host_limit,
@@ -36,7 +35,7 @@ from hil.core.surroundings import (
     remove_temporary_folders,
     settle_matplotlib,
 )
-from hil.errors import BadInput, BenchError, CampaignStopped
+from hil.errors import BadInput, BenchError, CampaignStopped, missing_package
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 

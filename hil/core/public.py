@@ -26,7 +26,7 @@ from typing import (
 
 import numpy as np
 
-from hil.errors import BadInput, Problem, did_you_mean
+from hil.errors import BadInput, Problem, did_you_mean, missing_package
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -70,18 +70,7 @@ _OF_TYPE: Final[Mapping[Any, _Allowed]] = {
     str: _Allowed(lambda value: isinstance(value, str), ("a name",)),
     np.ndarray: _Allowed(lambda value: isinstance(value, np.ndarray), ("a numpy array",)),
 }
-_EXTRAS: Final = {
-    "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
-    "websockets": "console", "pyarrow": "campaign", "distributed": "campaign", "pytest": "dev",
-}  # fmt: skip
-"""Package that only some capabilities need -> the extra that installs it."""
 _SEVERAL: Final = {"an integer": "integers", "a number": "numbers", "a dict": "tables", "a name": "texts"}
-
-
-def missing_package(error: ModuleNotFoundError) -> str:
-    """Return the text for a package that an extra installs, "" for any other module."""
-    extra = _EXTRAS.get(error.name or "")
-    return f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'" if extra else ""
 
 
 def public(function: _F) -> _F:

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hil.core.build_info import VERSION
-from hil.core.public import _EXTRAS
+from hil.errors import _EXTRAS
 from hil.parts.campaigns.pytest_plugin.options import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
