@@ -113,7 +113,7 @@ def test_repeated_images_are_no_new_measurement(folder: Path, caplog: pytest.Log
     cv2.imwrite(str(folder / "left" / "0005.png"), np.zeros((1024, 1024), np.uint8))
     _, rows = solve(folder)
     assert [row["status"] for row in rows] == ["ok", "rejected_frozen", "rejected_frozen", "ok", "ok", "ok"]
-    assert [row["doubt"] for row in rows[1:]] == [
+    assert [row["reason"] for row in rows[1:]] == [
         *["left image equal to the one before, right image equal to the one before"] * 2, "",
         "right image equal to the one before", "left image black",
     ]  # fmt: skip
@@ -145,7 +145,7 @@ def test_bad_images_never_make_a_pose(folder: Path) -> None:
     assert said == ["ok", "rejected_image", "rejected_dark", "rejected_image", "rejected_size", "ok"]
     for row in rows[1:5]:
         assert all(math.isnan(float(row[name])) for name in COLUMNS[4:-2])
-    assert rows[4]["doubt"] == "right image is 512 x 640 uint8, expected 1024 x 1024 uint8 (rows, columns)"
+    assert rows[4]["reason"] == "right image is 512 x 640 uint8, expected 1024 x 1024 uint8 (rows, columns)"
 
 
 def test_a_folder_without_a_single_pose_has_the_verdict_fail(folder: Path) -> None:

@@ -65,5 +65,8 @@ def test_scenario_is_estimated_with_the_errors_that_it_asks_for(
     error = history["truth"]["r_CT_H"][-2] - estimate["r_CT_H"]
     if gnc_params.navigation(scenario).sensors == VISION_AND_IMU:
         sigmas = np.concatenate([estimate["sigma_r_m"], estimate["sigma_v_mps"], estimate["sigma_attitude_rad"]])
-        assert np.all((sigmas > 0.0) & (sigmas < 0.1))
+        assert np.all((sigmas >= 0.0) & (sigmas < 0.1))
+        assert np.sum(sigmas == 0.0) == (
+            4 if scenario.chaser.planar else 0
+        )  # y of position and velocity, two rotations
         assert np.all(np.abs(error) < 6.0 * estimate["sigma_r_m"] + 0.005)

@@ -128,7 +128,7 @@ def test_campaign_has_cases_that_can_be_run_again(tmp_path: Path) -> None:
     assert hil.campaign("scheme-1", runs=3, duration_s=4.0, seed=5, workers=1).cases == campaign.cases
     with pytest.raises(hil.errors.BadInput, match="case: 3: must be 0 to 2"):
         campaign.run_case(3)
-    with pytest.raises(hil.errors.BadInput, match="campaign: propellant: no such column: give one of case, seed"):
+    with pytest.raises(hil.errors.BadInput, match="campaign: propellant: no such column: did you mean propellant_kg"):
         campaign.column("propellant")
 
 

@@ -116,7 +116,8 @@ def monitor(
                 painter.show(frame, look.detection, done)
             for portion in done:
                 portions.append(portion)
-                table.write([*_row(portion), doubt.partition(":")[0] or PROVEN])
+                reason = portion.reasons[0][0] if portion.reasons else ""
+                table.write([*_row(portion), doubt.partition(":")[0] or PROVEN, reason])
             if source.image_count:
                 bar.show("frames", min(len(looks) / source.image_count, 1.0))
     summary = _summary(portions, looks) | {
@@ -155,7 +156,16 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
 def _columns() -> tuple[str, ...]:
     from hil.parts.monitor.results import QUANTITIES
 
-    added = ("sigma2_edges", "sigma2_common", "sigma2_motion", "consistent", "jitter_px", "timing", "identity")
+    added = (
+        "sigma2_edges",
+        "sigma2_common",
+        "sigma2_motion",
+        "consistent",
+        "jitter_px",
+        "timing",
+        "identity",
+        "reason",
+    )
     return ("t_s", "frames", "status", *QUANTITIES, *(f"sigma_{name}" for name in QUANTITIES), *added)
 
 

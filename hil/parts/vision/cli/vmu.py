@@ -55,8 +55,8 @@ COLUMNS = (
     "scale",
     *(f"sight_{axis}" for axis in "xyz"),
     "sigma_sight_rad",
-    "doubt",
     "identity",
+    "reason",
 )
 _ENOUGH = 5  # measured pairs
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
@@ -308,7 +308,7 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
     numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale, *sight)]
     head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
     doubt = "" if solution.doubt is None else str(solution.doubt)
-    return dict(zip(COLUMNS[:-1], (*head, *numbers, doubt), strict=True))
+    return dict(zip((*COLUMNS[:-2], COLUMNS[-1]), (*head, *numbers, doubt), strict=True))
 
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
