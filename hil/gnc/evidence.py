@@ -159,6 +159,16 @@ def _gain(evidence, x, back, least, before, y):
     return gain
 
 
+@kernel
+def _largest_gain(evidence, x, least, before, y):
+    """Return the largest ``_gain`` of ``x`` since any number of rows, from 2 on."""
+    largest, back = 0.0, 2
+    while back <= evidence.n:
+        largest = max(largest, _gain(evidence, x, back, least, before, y))
+        back += max(1, back // 4)
+    return largest
+
+
 @entry
 def names_thruster(evidence, signature, j, opens):
     """Return whether thruster ``j``, open or else dead, explains what a swing leaves; signature: (n, 6), of each.
@@ -166,8 +176,7 @@ def names_thruster(evidence, signature, j, opens):
     It stands out, or explains most of that, and more than valves that close late do. It may have failed any number of
     rows ago, from 2 on. A run that has just begun has no swing yet.
     """
-    y, before, n, best, late, back, total = stack.vector(ROWS), stack.vector(6), evidence.n, 0.0, 0.0, 2, 0.0
-    failed, closing = stack.matrix(ROWS, 6), stack.matrix(ROWS, 6)
+    y, before, x, n, total = stack.vector(ROWS), stack.vector(6), stack.matrix(ROWS, 6), evidence.n, 0.0
     if n <= 2 * _ORDER:
         return True
     for i in range(6):
@@ -175,10 +184,9 @@ def names_thruster(evidence, signature, j, opens):
             y[k] = evidence.residual[_row(evidence, k), i]
         before[i] = _unpredicted(y, n)
         total += before[i]
-    _write_failed(evidence, signature, j, opens, failed)
-    _write_late(evidence, signature, closing)
-    while back <= n:
-        best = max(best, _gain(evidence, failed, back, _THRUST_MIN, before, y))
-        late = max(late, _gain(evidence, closing, back, 0.0, before, y))
-        back += max(1, back // 4)
-    return best > max(late, min(2.0 * _SIGMA**2 * _STANDS_OUT, _MOST * total))
+    _write_failed(evidence, signature, j, opens, x)
+    gain = _largest_gain(evidence, x, _THRUST_MIN, before, y)
+    if gain <= min(2.0 * _SIGMA**2 * _STANDS_OUT, _MOST * total):
+        return False
+    _write_late(evidence, signature, x)
+    return gain > _largest_gain(evidence, x, 0.0, before, y)

@@ -85,9 +85,11 @@ class BuiltinGnc(CompiledGnc):
     def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
         """Log the progress, new texts of backends, and once that poses contradict the plane that holds the chaser."""
         super().log_step(t_s, before, supervision)
+        if self._plane == 0:
+            return
         off, integrity = self.state.navigation.fusion.off_plane, self.state.navigation.integrity
         is_biased = integrity.biased and integrity.worst_of < 6 and is_held_innovation(self._plane, integrity.worst_of)
-        if not self._plane or not (off.sigmas or is_biased):
+        if not (off.sigmas or is_biased):
             return
         self._plane, text = 0, "poses stay on one side of it"
         if off.sigmas:

@@ -76,10 +76,10 @@ def note_contradiction(params, state, pose):
     """Keep the first rejected pose whose innovation out of the plane is beyond the gate. params: FUSION_PARAMS."""
     k, off, largest = params.held - 1, state.off_plane, 0.0
     if not math.isnan(state.nis_attitude):
-        found = state.found_attitude
+        attitude = state.found_attitude
         for i in range(3):
             if i != k:
-                largest = max(largest, found.value[i] ** 2 / found.s[i, i])
+                largest = max(largest, attitude.value[i] ** 2 / attitude.s[i, i])
     if not math.isnan(state.nis_position):
         largest = max(largest, state.found_position.value[k] ** 2 / state.found_position.s[k, k])
     if largest > params.pkf.gate and off.sigmas == 0.0:

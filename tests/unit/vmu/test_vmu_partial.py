@@ -102,7 +102,7 @@ def test_each_candidate_is_within_five_sigmas_however_unlikely() -> None:
 
 def test_row_of_a_position_has_no_attitude() -> None:
     _, solution = next(solutions(3, 1.0, 6.0, 1, 1))
-    found = row(7, solution)
+    found = row(7, solution, "proven")
     assert found["status"] == OK_POSITION
     assert float(found["z_m"]) == pytest.approx(solution.t[2], rel=1e-6)
     assert float(found["sigma_z_m"]) < 0.1

@@ -177,7 +177,7 @@ def vmu(
         Path(overlay).mkdir(exist_ok=True)
     first = _start(start.start_pose)
     rows, solutions = [], []
-    identity = {"identity": doubt.partition(":")[0] or PROVEN}
+    identity = doubt.partition(":")[0] or PROVEN
     with ExitStack() as stack:
         if not isinstance(images, ImageFolder):
             stack.enter_context(closing(images))
@@ -190,7 +190,7 @@ def vmu(
             solution = solve(unit, pair, t_s, first if done == 0 else None)
             if line is not None:
                 line.send(solution.frame(0, t_s), t_s)
-            rows.append(row(pair.frame, solution) | identity)
+            rows.append(row(pair.frame, solution, identity))
             solutions.append(solution)
             if overlay is not None and isinstance(unit, VisionUnit):
                 _write_overlay(Path(overlay), unit, pair, solution)
@@ -295,8 +295,8 @@ def _solution(unit: PoseEstimator, pair: Pair, t_s: float) -> Solution:
     return _without_spots(t_s, solved.status, pose)
 
 
-def row(frame: int, solution: Solution) -> dict[str, Any]:
-    """Return the row of ``solution`` under COLUMNS but ``identity``; nan without a pose."""
+def row(frame: int, solution: Solution, identity: str) -> dict[str, Any]:
+    """Return the row of ``solution`` under COLUMNS, with the ``identity`` of the cameras; nan without a pose."""
     import numpy as np
 
     values, sigmas = np.full(6, math.nan), np.sqrt(np.diag(solution.covariance))
@@ -308,7 +308,7 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
     numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale, *sight)]
     head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
     doubt = "" if solution.doubt is None else str(solution.doubt)
-    return dict(zip((*COLUMNS[:-2], COLUMNS[-1]), (*head, *numbers, doubt), strict=True))
+    return dict(zip(COLUMNS, (*head, *numbers, identity, doubt), strict=True))
 
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
