@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.bench import manipulator
-from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
-from hil.bench.manipulator import ChaserMotion
+from hil.bench.kinematics import SETPOINTS_KEPT
 from hil.checks.abort import check_transfers
 from hil.checks.modes import check_modes
 from hil.checks.reachability import check_reachability
@@ -24,10 +22,10 @@ from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.limits import excess, scenario_limits
-from hil.core.messages import AXES, MAX_THRUSTERS, new
+from hil.core.messages import MAX_THRUSTERS
 from hil.errors import BadInput, Problem
 from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
-from hil.maths import euler, linear
+from hil.maths import linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
@@ -41,19 +39,6 @@ _ROUNDING_HZ = 0.5  # rounding of a wire's capacity in messages
 _MEMORY_STEPS_MAX = (
     20_000  # each of them 3 kB, 20 kB with an error budget, and a few microseconds when a pose is that late
 )
-
-
-def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
-    """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
-    axes, rest, r = new(AXES), np.zeros(3), np.array(position_m)
-    q = euler.to_quaternion(np.radians(attitude_deg), euler.YAW_PITCH_ROLL)
-    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-    if (params := bench_params.manipulator(rig)) is not None:
-        at = manipulator.start_axes(params, bench, bench_params.manipulator_limits(rig, scenario.step_s), r, q)
-        shown = manipulator.shown_motion(params, at, rest, ChaserMotion(r, rest, q, rest))
-        r, q = shown.r, shown.q
-    axes_of_pose(bench, r, rest, q, rest, axes)
-    return axes
 
 
 def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.bench.manipulator import relative_axes
-from hil.checks.compatibility import axes_at
+from hil.bench import manipulator
+from hil.bench.kinematics import axes_of_pose
+from hil.bench.manipulator import ChaserMotion, relative_axes
 from hil.checks.faults import unfused_sensors
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
@@ -514,7 +515,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
 
     target = axes("target", rig.target_axes) if rig.target_axes else None
     bench = bench_params.bench_as_built(rig, scenario.step_s, scenario.bench)
-    manipulator = bench_params.manipulator(rig)
+    parameters = bench_params.manipulator(rig)
 
     vehicle = _simulated_vehicle(scenario, rig, seed)
 
@@ -523,8 +524,8 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
             shown = vehicle.axes_at(t_s)
             return sensor.measure(shown.rail_m, shown.gimbal_rad, t_s)
         seen = rails.position_at(t_s), turntable.position_at(t_s)
-        if manipulator is not None and target is not None:
-            seen = relative_axes(bench, manipulator, *seen, target.position_at(t_s))
+        if parameters is not None and target is not None:
+            seen = relative_axes(bench, parameters, *seen, target.position_at(t_s))
         return sensor.measure(*seen, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
@@ -557,5 +558,13 @@ def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:
 
 
 def start_axes(scenario: Scenario, rig: Rig) -> np.record:
-    """Return AXES, at rest, of the scenario's start pose."""
-    return axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)
+    """Return AXES, at rest, of the scenario's start pose, which a planar chaser has in its plane."""
+    axes, rest, truth = new(AXES), np.zeros(3), dynamics_params.initial_truth(scenario)
+    r, q = truth.r_CT_H, truth.q_CH
+    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
+    if (params := bench_params.manipulator(rig)) is not None:
+        at = manipulator.start_axes(params, bench, bench_params.manipulator_limits(rig, scenario.step_s), r, q)
+        shown = manipulator.shown_motion(params, at, rest, ChaserMotion(r, rest, q, rest))
+        r, q = shown.r, shown.q
+    axes_of_pose(bench, r, rest, q, rest, axes)
+    return axes

@@ -191,6 +191,15 @@ def test_one_case_in_full_detail_is_that_of_the_campaign(alone: Path, tmp_path: 
     assert summary["verdict"]["security"]["nearest_m"] == pytest.approx(row["nearest_m"], rel=1e-14)
 
 
+def test_case_of_a_planar_campaign_begins_in_the_plane_in_full_detail_too(tmp_path: Path) -> None:
+    planar = ("planar", "--rig", "mock-planar", "--seed", "5", "--duration", "30")
+    with without_figures():
+        execute(["campaign", *planar, "--runs", "1", "--out", str(tmp_path / "c")])
+    execute(["run", *planar, "--case", "0", "--json", str(tmp_path / "case.json")])
+    row = pq.read_table(tmp_path / "c" / "cases.parquet").to_pylist()[0]
+    assert json.loads((tmp_path / "case.json").read_text())["thrusters"]["propellant_kg"] == row["propellant_kg"]
+
+
 def test_case_of_a_campaign_with_another_dispersion_set_needs_its_name(tmp_path: Path) -> None:
     stress = ("--dispersions", "stress", "--set", "dispersions.truth.centre_of_mass_offset_m.sigma=0.003")
     fly(tmp_path / "c", "--workers", "1", *stress, runs=3)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.checks.compatibility import axes_at
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import PoseFrame
@@ -19,6 +18,7 @@ from hil.params import bench as bench_params
 from hil.sensors.mounting import camera_pose
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.session import build
+from hil.session.assembly import start_axes
 from hil.session.pose_model import make_pose_sensor
 from hil.vmu.geometry import geometry_of_rig
 from tests.support.run_settings import make_job
@@ -26,15 +26,14 @@ from tests.support.run_settings import make_job
 pytestmark = pytest.mark.xdist_group("vision unit")
 
 RENDERED = "vmu.source=rendered"
-HALF_WAY = (2.0, -0.1, 0.1)  # m
-TILTED = (2.0, 1.0, -2.0)  # deg
+HALF_WAY = ("initial.position_m=[2.0,-0.1,0.1]", "initial.attitude_deg=[2.0,1.0,-2.0]")
 
 
 def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[list[PoseFrame], Any, Any]:
     """Return 20 poses of axes that stand half-way, and the pose t -> v that is true without ``shift_m``."""
-    scenario, rig = load_scenario("scheme-1", (RENDERED, *settings)).value, load_rig("mock", settings).value
+    scenario, rig = load_scenario("scheme-1", (RENDERED, *HALF_WAY, *settings)).value, load_rig("mock", settings).value
     sensor = make_pose_sensor(scenario, rig, seed=3)
-    axes = axes_at(scenario, rig, HALF_WAY, TILTED)
+    axes = start_axes(scenario, rig)
     rails = axes.rail_m + np.array(shift_m)
     poses = [sensor.measure(rails, axes.gimbal_rad, 0.16 * k) for k in range(20)]
     found = [pose for pose in poses if pose is not None]

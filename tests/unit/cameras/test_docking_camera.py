@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.checks.compatibility import axes_at, check_monitor
+from hil.checks.compatibility import check_monitor
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
-from hil.config.scenario import Scenario
+from hil.config.scenario import Initial, Scenario
 from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.core.messages import CYCLE
 from hil.maths import euler
 from hil.params import bench as bench_params
 from hil.parts.monitor.camera import EncoderTrack, RenderedCamera, view
 from hil.parts.monitor.params import mounting
+from hil.session.assembly import start_axes
 
 STEP_S = 0.02
 PLACED = DockingMonitorConfig(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
@@ -53,7 +54,8 @@ def test_rotations_of_the_chaser_are_rotations_of_the_camera_about_its_axes() ->
 
 
 def test_encoders_are_converted_to_the_pose_of_the_chaser(mock_rig: Rig, scheme_1: Scenario) -> None:
-    axes = axes_at(scheme_1, mock_rig, (5.0, -0.3, 0.3), (3.0, 3.0, -3.0))
+    at = Initial(position_m=(5.0, -0.3, 0.3), attitude_deg=(3.0, 3.0, -3.0))
+    axes = start_axes(scheme_1.model_copy(update={"initial": at}), mock_rig)
     rows = rows_at(np.array([0.0, 1.0]), np.tile(axes.rail_m, (2, 1)))
     rows["feedback"]["gimbal_rad"] = axes.gimbal_rad
     track = track_of(mock_rig)
