@@ -63,6 +63,7 @@ class Recording(Run):
             [Event(n["t_s"], n["name"], n["message"]) for n in recorded.log if n["kind"] == "event"],
             _alarms(recorded),
             recorded.of_parts,
+            recorded.sensor_arrivals,
         )
         super().__init__(data, lambda: recorded)
         self.recorded = recorded

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -20,6 +20,7 @@ from hil.core.files import write_text
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event, with_thrusters
 from hil.core.part import imported, part_sinks, provided
 from hil.core.public import public
+from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.outcome import Outcome
@@ -74,7 +75,11 @@ class RecordGroup:
 
 @dataclass(frozen=True)
 class RunData:
-    """Content of a run. history: (n,) of CYCLE. of_parts: rows that parts have added, by the names of their sinks."""
+    """Content of a run.
+
+    history: (n,) of CYCLE. of_parts: rows that parts have added, by the names of their sinks. sensor_arrivals: (n,) of
+    SENSOR_ARRIVAL.
+    """
 
     scenario: Scenario
     rig: Rig
@@ -83,6 +88,7 @@ class RunData:
     events: list[Event]
     alarms: list[Alarm]
     of_parts: Mapping[str, np.ndarray]
+    sensor_arrivals: np.ndarray = field(default_factory=lambda: np.zeros(0, SENSOR_ARRIVAL))
 
 
 class Run:
@@ -218,6 +224,23 @@ class Run:
         return RecordGroup(self.history[own], self.t_s)
 
     @property
+    def sensors(self) -> dict[str, RecordGroup]:
+        """Samples of each further sensor, by its name, in the order of their arrival.
+
+        Of each component, as the module declares them, ``NAME``, ``sigma_NAME`` and ``innovation_NAME``, the innovation
+        over its standard deviation; ``t_s``, ``received_s``, ``cycle``, ``nis``, and ``result``, as of SENSOR_ARRIVAL.
+        """
+        from hil.recording import schema  # slow import
+
+        recorded = self.as_recorded()
+        flat = recorded.sensor_arrivals.view(schema.flat_dtype(SENSOR_ARRIVAL))
+        groups = {}
+        for name, table, _ in schema.sensor_tables(flat, recorded.files.get(schema.SENSORS_FILE, "{}")):
+            fields = [(column, values.dtype) for column, values in table.items()]
+            groups[name] = RecordGroup(np.rec.fromarrays([*table.values()], dtype=fields), table["t_s"])
+        return groups
+
+    @property
     def portions(self) -> RecordGroup:
         """Results of the docking monitor, one row per portion; empty without one."""
         return self.rows_of("portions")
@@ -315,7 +338,8 @@ def run_of(
 ) -> Run:
     """Return the results of a run of this process. rig: its name. of_parts: rows that parts have added."""
     scenario, of_rig = job.scenario.value, job.rig.value
-    data = RunData(scenario, of_rig, outcome.history, summary, outcome.events, outcome.alarms, of_parts or {})
+    events, alarms = outcome.events, outcome.alarms
+    data = RunData(scenario, of_rig, outcome.history, summary, events, alarms, of_parts or {}, outcome.sensor_arrivals)
     ended_ns = utc_ns()
     return Run(data, lambda: _recorded(job, rig, data, ended_ns))
 
@@ -339,6 +363,7 @@ def _recorded(job: Job, rig: str, data: RunData, ended_ns: int) -> Recorded:
         summary=data.summary,
         intact=True,
         files=dict(header.files),
+        sensor_arrivals=data.sensor_arrivals,
         of_parts=data.of_parts,
     )
 

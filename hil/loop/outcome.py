@@ -11,6 +11,7 @@ from hil.core.alarms import Alarm
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.realtime import Grant
+from hil.core.sensor_records import SENSOR_ARRIVAL
 
 
 @dataclass(slots=True)
@@ -30,3 +31,5 @@ class Outcome:
     alarms: list[Alarm] = field(default_factory=list)
     measured: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Numbers that the rows do not have, by the table of the JSON that they belong to."""
+    sensor_arrivals: np.ndarray = field(default_factory=lambda: np.zeros(0, SENSOR_ARRIVAL))
+    """Samples of further sensors, (n,)."""

@@ -109,6 +109,7 @@ class Runner:
 
     def outcome(self, stop: str) -> Outcome:
         """Return the results so far; stop: why the run ends or is held. Only while the loop's thread does not run."""
+        sensors = self.loop.sensors
         return Outcome(
             history=self.loop.rows(),
             stop=stop,
@@ -122,6 +123,7 @@ class Runner:
             events=self.all_events(),
             alarms=list(self.safety.alarms.all()),
             measured={table: meter() for table, meter in self.meters.items()} | {"limits": self._margins()},
+            **({} if sensors is None else {"sensor_arrivals": sensors.kept()}),
         )
 
     def _margins(self) -> dict[str, Any]:

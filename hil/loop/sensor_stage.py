@@ -70,7 +70,7 @@ class SensorStage:
 
     axes: returns the positions of rails and turntable, m and rad, that modelled ones see. sources: of those that are
     not modelled. alarms: receives an alarm of low priority for a source that is silent. sink: receives each sample that
-    arrives, as a row of SENSOR_ARRIVAL.
+    arrives, as a row of SENSOR_ARRIVAL. is_kept: keep these rows, unless the memory of the run must not grow.
     """
 
     def __init__(
@@ -80,14 +80,16 @@ class SensorStage:
         axes: Callable[[], tuple[Array, Array]],
         sources: Sequence[SampleSource],
         alarms: AlarmLog,
-        sink: Telemetry | None = None,
+        sink: Telemetry,
+        is_kept: bool,
     ) -> None:
         self._memory, self._kinds, self._axes, self.sources = memory, dict(kinds), axes, list(sources)
         self._params, self._state = kernel_record(memory.params.sensors), memory.view("sensors")
         self._bench = kernel_record(memory.params.mock.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
         """SENSOR_FUSION_STATE: samples of the present cycle, and what became of them."""
-        self._alarms, self.sink = alarms, sink
+        self._alarms, self.sink, self._is_kept = alarms, sink, is_kept
+        self._kept = [np.zeros(0, SENSOR_ARRIVAL)]
         self._newest = dict.fromkeys(kinds, np.nan)
         self._sigmas = dict(self._newest)
         self._r, self._q, self._rate = np.empty(3), np.empty(4), np.empty(3)
@@ -143,10 +145,18 @@ class SensorStage:
             name = names[arrival.sample.sensor]
             self._newest[name] = float(arrival.sample.t_s)
             self._sigmas[name] = float(np.abs(arrival.innovation[: len(self._kinds[name].components)]).max())
-        if self.sink is None:
-            return
         for i in range(log_arrivals(self.arrivals, cycle, self._log, 0)):
-            self.sink.put(self._log[i : i + 1])
+            self.put(self._log[i : i + 1])
+
+    def put(self, row: np.ndarray) -> None:
+        """Send ``row``, shape (1,), to the sink."""
+        self.sink.put(row)
+        if self._is_kept:
+            self._kept.append(row.copy())
+
+    def kept(self) -> np.ndarray:
+        """Return the rows so far, (n,)."""
+        return np.concatenate(self._kept)
 
     def suspect(self) -> str:
         """Return the device of the first sensor that is excluded, "" without one."""

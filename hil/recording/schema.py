@@ -138,6 +138,25 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
             yield name + "".join(f"[{i}]" for i in index), values[(slice(None), *index)]
 
 
+def sensor_tables(flat: np.ndarray, about: str) -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, str]]]:
+    """Yield name, columns and units of each further sensor.
+
+    flat: (n,) of SENSOR_ARRIVAL with dotted names. about: text of SENSORS_FILE, with the components of each module.
+    """
+    for number, (name, sensor) in enumerate(json.loads(about).items()):
+        rows = flat[flat["sample.sensor"] == number]
+        table = {"t_s": rows["sample.t_s"], "received_s": rows["sample.received_s"], "cycle": rows["cycle"],
+                 "result": rows["result"], "nis": rows["nis"]}  # fmt: skip
+        units = {"t_s": "s", "received_s": "s"}
+        for i, component in enumerate(sensor["components"]):
+            column = component["name"]
+            table[column], units[column] = rows["sample.value"][:, i], component["unit"]
+            table[f"sigma_{column}"] = np.sqrt(rows["sample.covariance"][:, i, i])
+            units[f"sigma_{column}"] = component["unit"]
+            table[f"innovation_{column}"], units[f"innovation_{column}"] = rows["innovation"][:, i], "1"
+        yield name, table, units
+
+
 def present_column(name: str) -> str:
     """Return the present name of a column that was named with ``.x``, ``.q0``, ``.5`` or ``.0.2`` at its end."""
     field, dot, part = name.rpartition(".")

@@ -339,8 +339,9 @@ def _sensors(
     for number, name in enumerate(kinds):
         if name in wired:
             memory.params.sensors.source[number].models = 0
-    sink = parts.sinks.get("sensor_samples")
-    return SensorStage(memory, kinds, _seen_axes(devices, bench), parts.sample_sources, bench.safety.alarms, sink)
+    sink, is_kept = parts.sinks.get("sensor_samples", NoTelemetry()), not job.until_stopped
+    axes, alarms = _seen_axes(devices, bench), bench.safety.alarms
+    return SensorStage(memory, kinds, axes, parts.sample_sources, alarms, sink, is_kept)
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

@@ -134,13 +134,19 @@ def test_each_kind_of_fault_has_its_effect_and_is_seen(fault: str, value: float 
 
 
 def test_samples_are_recorded_exported_and_replayed(tmp_path: Path) -> None:
-    hil.run(
+    run = hil.run(
         "scheme-1", seed=2, duration_s=6.0, record=tmp_path,
         overrides={"sensors.ranger.kind": "range_finder", "sensors.ranger.latency_s": 0.1},
     )  # fmt: skip
     (path,) = tmp_path.glob("*.mcap")
     recording = hil.open(path)
     assert recording.replay().identical
+    for flown in (run, recording):
+        ranger = flown.sensors["ranger"]
+        assert len(ranger) == 60
+        shown_m = np.interp(ranger.t_s, flown.t_s, np.linalg.norm(flown.truth.r_CT_H, axis=1))
+        assert ranger.range_m - shown_m == pytest.approx(np.mean(ranger.range_m - shown_m), abs=6e-3)
+        assert run.sensors["ranger"].records.tobytes() == ranger.records.tobytes()
     from hil.parts.export.table import export
 
     written = {file.name: rows for file, rows in export(path, "csv", tmp_path / "run.csv")}

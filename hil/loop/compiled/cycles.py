@@ -133,7 +133,7 @@ class CompiledCycles:
             self._arrivals = np.zeros(most, ARRIVAL).view(np.recarray)
         if loop.axes_sink is not None:
             self._axes_log = np.zeros((end - first) * self._ticks, AXES_SAMPLE)
-        if loop.sensors is not None and loop.sensors.sink is not None:
+        if loop.sensors is not None:
             self._sensor_log = np.zeros((end - first) * SAMPLES_PER_CYCLE, SENSOR_ARRIVAL).view(np.recarray)
         if loop.dss.sample_sink is not None:
             self._samples_log = np.zeros((end - first) * self._n_samples, IMU_SAMPLE)
@@ -233,11 +233,11 @@ class CompiledCycles:
 
     def _send_sensors(self, cycle: int) -> None:
         """Send the samples of further sensors that arrived up to ``cycle``."""
-        if self._loop.sensors is None or self._loop.sensors.sink is None:
+        if self._loop.sensors is None:
             return
         log = self._sensor_log
         while self._sent_sensors < int(self._state.sensors_logged) and log[self._sent_sensors].cycle <= cycle:
-            self._loop.sensors.sink.put(log[self._sent_sensors : self._sent_sensors + 1])
+            self._loop.sensors.put(log[self._sent_sensors : self._sent_sensors + 1])
             self._sent_sensors += 1
 
     def _begin(self, cycle: int) -> None:

@@ -82,18 +82,9 @@ def _sensor_tables(recording: Contents) -> Iterator[tuple[str, dict[str, Any], d
     """Yield the table of each further sensor, ``sensor-NAME``, with the columns that its module declares."""
     if not recording.records.get(schema.SENSORS) or schema.SENSORS_FILE not in recording.files:
         return
-    flat = recording.flat(schema.SENSORS)
-    for number, (name, sensor) in enumerate(json.loads(recording.files[schema.SENSORS_FILE]).items()):
-        rows = flat[flat["sample.sensor"] == number]
-        table = {"t_s": rows["sample.t_s"], "received_s": rows["sample.received_s"], "cycle": rows["cycle"],
-                 "result": rows["result"], "nis": rows["nis"]}  # fmt: skip
-        units = {"t_s": "s", "received_s": "s"}
-        for i, component in enumerate(sensor["components"]):
-            column = component["name"]
-            table[column], units[column] = rows["sample.value"][:, i], component["unit"]
-            table[f"sigma_{column}"] = np.sqrt(rows["sample.covariance"][:, i, i])
-            units[f"sigma_{column}"] = component["unit"]
-            table[f"innovation_{column}"], units[f"innovation_{column}"] = rows["innovation"][:, i], "1"
+    for name, table, units in schema.sensor_tables(
+        recording.flat(schema.SENSORS), recording.files[schema.SENSORS_FILE]
+    ):
         yield f"sensor-{name}", table, units
 
 
