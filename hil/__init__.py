@@ -121,7 +121,12 @@ def __getattr__(name: str) -> Any:
     if name == "errors":
         return import_module("hil.errors")
     if name not in _MODULES:
-        raise AttributeError(f"module 'hil' has no attribute {name!r}")
+        from hil.errors import did_you_mean
+
+        near = (
+            did_you_mean(name, __all__).rstrip() or f"it has {', '.join(each for each in __all__ if each[0].islower())}"
+        )
+        raise AttributeError(f"module 'hil' has no attribute {name!r}: {near}")
     module, _, other = _MODULES[name].partition(":")
     value = globals()[name] = getattr(import_module(module), other or name)
     return value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -208,12 +209,16 @@ def named_as_argument() -> Iterator[None]:
     try:
         yield
     except BadInput as error:
-        raise BadInput([replace(p, source=_argument(p.source)) for p in error.problems]) from error.__cause__
+        problems = [replace(p, source=_as_argument(p.source), message=_as_argument(p.message)) for p in error.problems]
+        raise BadInput(problems) from error.__cause__
 
 
-def _argument(source: str) -> str:
-    name = source.removeprefix("--").replace("-", "_")
-    return _ARGUMENTS.get(name, name) if source.startswith("--") else source
+def _as_argument(text: str) -> str:
+    def name(option: re.Match[str]) -> str:
+        argument = option[1].replace("-", "_")
+        return _ARGUMENTS.get(argument, argument)
+
+    return re.sub(r"(?<!\S)--([a-z][a-z-]*)", name, text)
 
 
 def settings_of(overrides: Overrides | Settings | None) -> tuple[str, ...]:

@@ -7,11 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 from hil.api.frames import library
 from hil.api.results import Run
+from hil.config.scenario import Scenario
+from hil.recording.schema import leaves
 from hil.report.comparison import RunDivergence, divergences, key_numbers
 from hil.report.results import RunResults
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def other_settings(first: Scenario, second: Scenario) -> str:
+    """Return the keys of ``second`` that have other values than in ``first``, three at most, "" for none."""
+    one, other = (dict(leaves(each.model_dump(mode="json"))) for each in (first, second))
+    keys = [path for path in {**other, **one} if one.get(path) != other.get(path) and path != ("name",)]
+    texts = [f"{'.'.join(path)} {other.get(path, 'absent')} for {one.get(path, 'absent')}"[:80] for path in keys]
+    return ", ".join(texts[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 
 class RunComparison:
@@ -47,6 +57,8 @@ class RunComparison:
 
     def __repr__(self) -> str:
         names = " against ".join(repr(run)[1:-1].partition(":")[0] for run in (self.second, self.first))
+        if other := other_settings(self.first.scenario, self.second.scenario):
+            names += f" ({other})"
         if not self.is_of_one_scenario:
             return f"<RunComparison {names}: other scenarios or steps, the truths are not compared>"
         worst = max(self.divergences, key=lambda each: each.of_tolerance, default=None)

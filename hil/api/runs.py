@@ -115,7 +115,8 @@ def run(
         with named_as_argument():
             build.check(job)
         compilation.finish(log.warning)
-    completed = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
+    with named_as_argument():
+        completed = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
     if STOPPED_BY_OPERATOR in completed.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
     return completed

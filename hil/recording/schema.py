@@ -232,7 +232,7 @@ _KEYS: Final = ("console", "adjustable")  # a list of keys
 def with_present_names(model: str, table: Table) -> Table:
     """Return a recorded ``table`` under the present names of the keys of ``model``."""
     present: Table = {}
-    for path, value in _leaves(table):
+    for path, value in leaves(table):
         start = 1 if path[0] == "dispersions" else 0  # it repeats the scenario's tables
         if any(path[start : start + len(gone)] == gone for gone in _REMOVED):
             continue
@@ -253,11 +253,11 @@ def present_key(model: str, key: str) -> str:
     return ".".join(_renamed(model, tuple(key.split("."))))
 
 
-def _leaves(table: Table, at: Path = ()) -> Iterator[tuple[Path, Any]]:
+def leaves(table: Table, at: Path = ()) -> Iterator[tuple[Path, Any]]:
     """Yield the path and the value of each key that is not a table, and of each empty table."""
     for key, value in table.items():
         if isinstance(value, dict) and value:
-            yield from _leaves(value, (*at, key))
+            yield from leaves(value, (*at, key))
         else:
             yield (*at, key), value
 

@@ -27,8 +27,19 @@ def test_two_campaigns_are_compared_case_by_case(tmp_path: Path) -> None:
     assert "Paired differences" in (tmp_path / "c" / "report.html").read_text()
 
 
+def test_repr_of_a_comparison_names_the_settings_that_differ() -> None:
+    first, second = (hil.campaign("scheme-1", 2, overrides={"chaser.mass_kg": kg}, **SHORT) for kg in (1e3, 900.0))
+    assert "scheme-1 against scheme-1 (chaser.mass_kg 900.0 for 1000.0)" in repr(hil.compare(first, second))
+    assert "(" not in repr(hil.compare(first, first))
+
+
 def test_campaigns_of_other_cases_are_not_compared() -> None:
-    few, many = (hil.campaign("scheme-1", runs, **SHORT) for runs in (2, 3))
+    shown: list[float] = []
+    few, many = (
+        hil.campaign("scheme-1", runs, **SHORT, on_progress=lambda _, part: shown.append(part)) for runs in (2, 3)
+    )
+    assert shown[0] == 0.0
+    assert shown[-1] == 1.0
     with pytest.raises(BadInput, match="same seed and number of cases"):
         hil.compare(few, many)
 

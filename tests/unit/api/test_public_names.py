@@ -153,3 +153,10 @@ def test_a_package_of_an_extra_that_is_missing_is_named_with_the_extra(monkeypat
     with pytest.raises(hil.errors.BadInput) as caught:
         call()
     assert str(caught.value) == f"campaign: needs {package}, which is not installed: pip install 'hil-bench[{extra}]'"
+
+
+def test_name_that_the_package_does_not_have_is_answered_by_the_nearest_or_by_all_functions() -> None:
+    with pytest.raises(AttributeError, match=r"'Campain': did you mean Campaign\?"):
+        _ = hil.Campain
+    with pytest.raises(AttributeError, match=r"'simulate': it has campaign, compare, .* run, "):
+        _ = hil.simulate

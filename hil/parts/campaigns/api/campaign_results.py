@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from hil.api.frames import library
 from hil.api.results import Run
-from hil.api.run_comparison import RunComparison
+from hil.api.run_comparison import RunComparison, other_settings
 from hil.api.runs import RunRequest, log, run_job, run_or_raise
 from hil.core.messages import Array
 from hil.core.public import public
@@ -210,6 +210,8 @@ class Comparison:
         rates = self.summary["accepted_rate"]
         first, second = (rates[name]["passed"] for name in ("first", "second"))
         names = f"{self.summary['second']} against {self.summary['first']}"
+        if other := other_settings(self.first.job.scenario.value, self.second.job.scenario.value):
+            names += f" ({other})"
         return f"<Comparison {names}: {second} and {first} of {self.summary['runs']} accepted>"
 
 

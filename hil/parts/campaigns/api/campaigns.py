@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Unpack, overload
 
 from hil.api.jobs import BackendArguments, Overrides, named_as_argument, settings_of
+from hil.api.runs import log
 from hil.config.scenario import Scenario
 from hil.core.public import public
 from hil.errors import BadInput
@@ -17,11 +18,15 @@ from hil.parts.campaigns.campaign import RIG, Sweep
 
 
 class CampaignArguments(BackendArguments, total=False):
-    """Further arguments of ``hil.campaign``. rig: in memory. scheduler: of Dask. dispersions: set or file."""
+    """Further arguments of ``hil.campaign``. rig: in memory. scheduler: of Dask. dispersions: set or file.
+
+    on_progress: called with a line of text and the completed fraction.
+    """
 
     rig: Annotated[str, RIG]
     scheduler: str | None
     dispersions: str | Path | None
+    on_progress: Callable[[str, float], None]
 
 
 class StudyArguments(CampaignArguments, total=False):
@@ -93,7 +98,8 @@ def campaign(
     runs
         Number of cases, numbered from 0. A case depends on its number and the seed only.
     out
-        Folder for the results, in which a partial campaign is resumed; None for a temporary one.
+        Folder for the results and their page, ``report.html``, in which a partial campaign is resumed; None for a
+        temporary one.
     seed
         Seed of the whole campaign.
     duration_s
@@ -107,7 +113,8 @@ def campaign(
         object of a class, and a copy of an object. A case whose object raises has failed;
         ``summary["first_error"]`` has the first traceback. ``rig=``: another one in memory.
         ``scheduler=``: address of a Dask scheduler, whose workers are used. ``dispersions=``: a set or a
-        file, instead of the scenario's. ``against=``: a second scenario, which returns a Comparison;
+        file, instead of the scenario's. ``on_progress=``: called with a line of text and the completed fraction, as
+        ``print``. ``against=``: a second scenario, which returns a Comparison;
         ``sweep="key=low:high:n"`` returns SweepResults; ``rare="column > number"`` with ``method=``, and
         ``sobol=rows`` return StudyResults.
 
@@ -123,9 +130,10 @@ def campaign(
     if (dispersions := given.pop("dispersions", None)) is not None:
         overrides = {"dispersions": str(dispersions), **(overrides or {})}
     given |= {"seed": seed, "duration_s": duration_s, "workers": workers, "backends": backends}
+    show = given.pop("on_progress", lambda *_: None)
     with named_as_argument():
         folder = None if out is None else Path(out)
-        return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run()
+        return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run(show, log.warning)
 
 
 @public
@@ -185,7 +193,7 @@ def rare_event(
     workers
         Number of processes; 0: one per core.
     options
-        ``duration_s``, ``scheduler``, ``dispersions`` and backends, as for ``hil.campaign``.
+        ``duration_s``, ``scheduler``, ``dispersions``, ``on_progress`` and backends, as for ``hil.campaign``.
 
     Returns
     -------
