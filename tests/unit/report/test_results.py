@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from docs import generate
-from hil.report.results import RunResults
+from hil.report.results import Results, RunResults
 from hil.report.summary import summarise
 from hil.session import build
 from tests.support.run_settings import make_job
@@ -22,6 +23,21 @@ def summary() -> dict[str, Any]:
         made = summarise(runner.run(), job.scenario.value, job.rig.value, "mock", 2, 50.0)[0]
     content: dict[str, Any] = json.loads(json.dumps(made))
     return content
+
+
+def unset(results: Results, at: str = "") -> Iterator[str]:
+    """Yield each row that is None although its type does not allow it."""
+    for each, inner in results.rows():
+        value, where = getattr(results, each.name), f"{at}{each.name}"
+        if value is None and "None" not in str(each.type):
+            yield where
+        if isinstance(value, Results) and inner is not None:
+            yield from unset(value, f"{where}.")
+
+
+def test_each_row_that_cannot_be_absent_is_set_in_a_run(summary: dict[str, Any]) -> None:
+    assert list(unset(RunResults.of(summary))) == []
+    assert next(unset(RunResults.of(summary | {"thrusters": {}}))).startswith("thrusters.")
 
 
 def test_results_are_read_back_as_they_were_written(summary: dict[str, Any]) -> None:
