@@ -49,6 +49,10 @@ def missing_package(error: ModuleNotFoundError) -> str:
     return f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'" if extra else ""
 
 
+INSTALLED: Final = "; an entry point that was added to a package is seen when pip has installed it again"
+"""End of a message about a driver, sensor or part that is not known."""
+
+
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return ``did you mean A or B? `` of the ``known`` names that begin as ``name``, else of the nearest, or "".
 

@@ -28,7 +28,7 @@ from hil.config.tables.sensors import by_name
 from hil.config.tables.units import converted, split
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
 from hil.core.own_code import note_users
-from hil.errors import BadInput, Problem, did_you_mean
+from hil.errors import INSTALLED, BadInput, Problem, did_you_mean
 
 if TYPE_CHECKING:  # models of the files that most runs do not read are imported with the first of them
     from hil.config.protocol import Protocol
@@ -530,7 +530,9 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
     of_part = ""
     if parent is not None and issubclass(parent, FileTable):
         names = sorted([*names, *parent.added_tables()])
-        of_part = "; or the table of a part that is not installed, see hil list parts" * isinstance(value, dict)
+        of_part = f"; or the table of a part that is not installed, see hil list parts{INSTALLED}" * isinstance(
+            value, dict
+        )
     if meant := converted(key, value, names):
         return f"unknown key: did you mean {meant}?"
     stem = split(key)[0]

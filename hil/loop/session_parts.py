@@ -11,6 +11,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.core.clock import BenchClock
 from hil.core.operator_commands import Operator
+from hil.core.part import part_sinks
 from hil.core.realtime import SchedulingPolicy
 from hil.errors import BenchError
 from hil.frmn.ring import Telemetry
@@ -96,5 +97,11 @@ class SessionParts:
     """Return the results of parts after the run; None without any."""
 
     def results_of(self, outcome: Outcome) -> list[PartResult]:
-        """Return the results of all parts after the run."""
-        return [part_result for result in self.results if (part_result := result(outcome)) is not None]
+        """Return the results of all parts after the run: without a verdict if rows of one are in no recording."""
+        results = [part_result for result in self.results if (part_result := result(outcome)) is not None]
+        return [
+            result._replace(withheld=f"part {result.table}: rows {name}: no sinks= of a Part declares them")
+            if (name := ", ".join(result.rows.keys() - part_sinks().keys()))
+            else result
+            for result in results
+        ]

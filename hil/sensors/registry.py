@@ -23,7 +23,7 @@ from hil.config.tables.sensors import SensorConfig
 from hil.core.own_code import import_error, module_of_file
 from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.core.settings import Setting
-from hil.errors import BadInput, Problem, did_you_mean
+from hil.errors import INSTALLED, BadInput, Problem, did_you_mean
 from hil.sensors.module import COMMON, SensorKind, checked
 
 GROUP: Final = "hil.sensors"
@@ -50,7 +50,7 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
         points = _packages()
         if kind not in points:
             names = [*SHIPPED, *points]
-            known = f"known are {', '.join(names)}, or a class in a file, FILE.py:NAME"
+            known = f"known are {', '.join(names)}, or a class in a file, FILE.py:NAME{INSTALLED}"
             raise refuse(f"no such sensor: {did_you_mean(kind, names)}{known}")
         point = points[kind]
         return checked(point.load(), point.dist.name if point.dist else "")

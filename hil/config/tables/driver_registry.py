@@ -24,7 +24,7 @@ from pydantic import BaseModel, field_validator, model_validator
 from hil.config.tables.model import ConfigModel
 from hil.config.tables.open_table import OpenTable, model_of_field
 from hil.core.plug_ins import plug_in_error, raised_text
-from hil.errors import BadInput, HilError
+from hil.errors import INSTALLED, BadInput, HilError
 
 Device = Literal["rails", "turntable", "vmu", "io", "arm"]
 WireKind = Literal["serial", "tcp", "udp", "can", "camera", "other"]
@@ -152,7 +152,7 @@ def driver_entry(device: str, name: str) -> DriverEntry:
         return entry
     points = [point for point in entry_points(group=GROUP) if point.name == key]
     if not points:
-        raise ValueError(f'"{name}": unknown {device} driver, known: {_listed(device)}')
+        raise ValueError(f'"{name}": unknown {device} driver, known: {_listed(device)}{INSTALLED}')
     if len(points) > 1:
         raise ValueError(f'"{name}": {device} driver of several packages: {", ".join(map(_package, points))}')
     (point,) = points

@@ -65,7 +65,7 @@ def test_unknown_driver_lists_the_known_ones_with_their_source(install: Install)
     install()
     assert refusal("rig.rails.driver=acne") == (
         '--set: rig.rails.driver: "acne": unknown rails driver, known: mock, modbus, modbus_rtu, arm (hil), '
-        "acme (acme_rails 1.2)"
+        "acme (acme_rails 1.2); an entry point that was added to a package is seen when pip has installed it again"
     )
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoint
 
+import numpy as np
 import pytest
 
 from hil.core import part
 from hil.core.part import InstalledPart, Part, PartCommand, Parts, joined, provided
 from hil.errors import BadInput
+from hil.loop.outcome import Outcome
+from hil.loop.session_parts import PartResult, SessionParts
 
 OURS = InstalledPart(
     Part(
@@ -63,3 +66,11 @@ def test_what_the_core_needs_is_found_by_the_setting_that_needs_it(monkeypatch: 
     text = "lab.toml: rig.kind=emulated: needs a part that is not installed, see hil list parts; part robot: cannot be"
     with pytest.raises(BadInput, match=text):
         provided("rig.kind=emulated", "lab.toml")
+
+
+def test_run_has_no_verdict_if_rows_of_a_part_are_in_no_recording() -> None:
+    rows = [PartResult("near", {}, {"near_samples": np.zeros(1)}), PartResult("monitor", {}, {"portions": np.zeros(1)})]
+    parts = SessionParts(results=[lambda _, result=result: result for result in rows])
+    near, monitor = parts.results_of(Outcome(np.zeros(0), "completed"))
+    assert near.withheld == "part near: rows near_samples: no sinks= of a Part declares them"
+    assert monitor.withheld == ""
