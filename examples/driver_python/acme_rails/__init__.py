@@ -1,1 +1,1 @@
-"""Rails of three axes behind an ACME controller: an example of a driver outside the package hil."""
+"""Rails of three axes behind the controller ACME: an example of a driver outside the package hil."""
