@@ -9,7 +9,8 @@ import tty
 import numpy as np
 import pytest
 
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.codecs import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 from hil.parts.links.command_word_codec import Word, encode
 from hil.session import build
 from tests.support.run_settings import UNHURRIED, make_job

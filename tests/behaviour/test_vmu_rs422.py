@@ -20,8 +20,8 @@ from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.vmu import COUNTERS
 from hil.drivers.vmu.codec import STATUS_NO_POSE
+from hil.drivers.vmu.codecs import frame_codec
 from hil.drivers.vmu.driver import Rs422Vmu
-from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
 from hil.parts.emulation.pty_line import PtyLine
 from hil.parts.emulation.vision_unit import VmuEmulator

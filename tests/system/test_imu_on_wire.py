@@ -11,7 +11,7 @@ import pytest
 
 import hil
 from hil.config.load import load_frame
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import BadInput
 from hil.parts.emulation.fault_injection import FaultControl
 from hil.session.build import check, wired_bench

@@ -16,7 +16,8 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig
 from hil.drivers.vmu.codec import Decoded
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.codecs import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
 from hil.vmu.render import RingAppearance, RingRenderer

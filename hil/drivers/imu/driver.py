@@ -13,7 +13,7 @@ from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.drivers.datagrams import DatagramPort
 from hil.drivers.serial_port import open_serial
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.drivers.wire_reader import READ_WALL_S, WireReader
 from hil.errors import LinkLost, LinkTimeout
 

@@ -14,8 +14,9 @@ from hil.drivers.latest import Latest
 from hil.drivers.serial_port import open_serial
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
+from hil.drivers.vmu.codecs import frame_codec
 from hil.drivers.vmu.entry import frames_of
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 from hil.drivers.vmu.unit_clock import UnitClock
 from hil.drivers.wire_reader import READ_WALL_S, WireReader
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError

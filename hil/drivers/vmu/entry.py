@@ -28,7 +28,7 @@ def _check_files(vmu: Vmu) -> list[str]:
 
 def _frames_hz(vmu: Vmu) -> float:
     """The unit sends one frame after the other."""
-    from hil.drivers.vmu.frame_codec import frame_codec  # on use: it is large
+    from hil.drivers.vmu.codecs import frame_codec  # on use: it is large
 
     line = vmu.rs422 or VmuLine()
     return line.baud / (_BITS_PER_BYTE * frame_codec(line.frames).size)

@@ -6,12 +6,10 @@ import binascii
 import math
 import struct
 from collections.abc import Callable
-from functools import cache
 from typing import Final
 
 import numpy as np
 
-from hil.config.load import load_frame
 from hil.config.vmu_frame import FrameField, VmuFrame
 from hil.core.messages import POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, Array, PoseFrame
 from hil.drivers.checksums import crc16_ccitt, crc16_modbus, sum8, xor8
@@ -351,20 +349,3 @@ def euler_angles(rotation: Array, sequence: str) -> Array:
 
     angles: Array = Rotation.from_matrix(rotation).as_euler(sequence)
     return angles
-
-
-def frame_codec(name: str = "hil") -> FrameCodec:
-    """Return the codec of the frames ``name``, as in ``VmuLine``; files are read again. Raises BadInput."""
-    return _own_codec() if name == "hil" else _codec_of(name)
-
-
-@cache
-def _own_codec() -> FrameCodec:
-    return _codec_of("hil")
-
-
-def _codec_of(name: str) -> FrameCodec:
-    from hil.drivers.vmu.text_codec import TextFrameCodec
-
-    frame = load_frame(name).value
-    return FrameCodec(frame) if frame.text is None else TextFrameCodec(frame)

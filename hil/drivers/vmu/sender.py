@@ -11,7 +11,7 @@ import serial
 
 from hil.core.messages import PoseFrame
 from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import LinkLost
 
 IDENTITY: Final = ReportedIdentity("hil", "VMU-SOFT", "1.0")

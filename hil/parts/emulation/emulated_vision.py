@@ -24,7 +24,7 @@ from hil.core.line_protocol import LineProtocol
 from hil.core.messages import Array, PoseFrame
 from hil.core.sensor_records import NORMALS
 from hil.drivers.datagrams import DatagramSender
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.frmn.image_memory import ImageMemory
 from hil.maths import quat

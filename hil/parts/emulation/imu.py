@@ -18,7 +18,7 @@ from hil.core.line_protocol import LineProtocol
 from hil.core.messages import Array
 from hil.drivers.datagrams import DatagramSender
 from hil.drivers.imu.can_frames import as_messages
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.params import bench as bench_params

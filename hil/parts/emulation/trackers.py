@@ -16,7 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
 from hil.drivers.datagrams import DatagramSender
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.params import bench as bench_params

@@ -15,8 +15,8 @@ from hil.core.messages import PoseFrame
 from hil.drivers.datagrams import DatagramSender
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
+from hil.drivers.vmu.codecs import frame_codec
 from hil.drivers.vmu.entry import frames_of
-from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
 from hil.parts.emulation.fault_injection import Faults, FaultyWire

@@ -18,7 +18,7 @@ from hil.config.tables.flight_computer import FlightComputer, WordsLine
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import LinkLost
 from hil.parts.links.command_word_codec import CommandWordDecoder, Word, decode_can
 

@@ -17,7 +17,7 @@ import numpy as np
 from hil.core.clock import BenchClock
 from hil.core.messages import POSITION_ONLY
 from hil.drivers.datagrams import DatagramPort
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import LinkLost
 from hil.maths import quat
 from hil.parts.tracker import natnet, qtm

@@ -17,7 +17,8 @@ from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import MONITOR
 from hil.core.messages import PoseFrame
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.codecs import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 from hil.errors import BadInput
 from hil.maths import quat
 from hil.parts.monitor.monitor import DockingMonitor

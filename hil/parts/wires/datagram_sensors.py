@@ -26,7 +26,7 @@ from hil.core.messages import PoseFrame
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.datagrams import DatagramPort
 from hil.drivers.serial_port import is_counted
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import BadInput, one_line
 from hil.maths import linear, quat
 from hil.params.sensors import sensors_of

@@ -19,7 +19,8 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.config.tables.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.codecs import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.loop.core_memory import CycleData
 from hil.parts.links.command_word_codec import CommandWordDecoder, Word, decode_can, encode, encode_can

@@ -10,7 +10,7 @@ import pytest
 
 from hil.config.load import load_frame
 from hil.core.messages import PoseFrame
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.codecs import frame_codec
 from hil.errors import BadInput
 from hil.maths import quat
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hil.core.messages import POSITION_ONLY, PoseFrame
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded, ReportedIdentity
-from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.drivers.vmu.codecs import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder
 
 HIL = frame_codec()
 FRAME_BYTES, HEADER = HIL.size, HIL.sync
