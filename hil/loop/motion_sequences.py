@@ -27,6 +27,7 @@ PROGRESS_CYCLES: Final = 50
 _LINK_CHECK_PERIOD_S: Final = 0.1
 _STANDSTILL_S: Final = 0.1  # required of an axis that has moved
 _HELD_S: Final = 0.3  # the same in a hold: until the encoders have settled at the setpoints that they replace
+_MOVING: Final = (Mode.PLACING, Mode.PARKING, Mode.JOGGING)
 _SETTLE_S: Final = 3.0  # allowed after placing or homing until all axes are at rest at their targets
 _NO_MOVE_S: Final = 1e-3  # shorter moves are rounding
 _SETTLED_M: Final = 0.001
@@ -94,6 +95,8 @@ class MotionSequencer:
         self._target_is_placed = self._target_is_placed and self.modes.mode is not Mode.STANDBY
         target = self.loop.target
         (target.check if self._target_is_placed else target.read)(now_s)
+        if (mode := self.modes.mode) in _MOVING and all(group.homing == HOMED for group in self.loop.bench.feedback):
+            target.check_apart(now_s, mode is Mode.JOGGING, self.loop.bench.accepted, self.loop.now.feedback)
 
     def check_links(self, now_s: float) -> None:
         """Raise SafetyTrip if a device has lost too many packets recently."""

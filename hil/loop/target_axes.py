@@ -192,6 +192,12 @@ class TargetAxes:
     def relate(self, axes: np.record) -> None:
         """Replace positions of rails and turntable, AXES, by those relative to the target, if it moves in a run."""
 
+    def check_apart(self, now_s: float, jogs: bool, setpoint: np.record, feedback: np.record) -> None:
+        """Raise SafetyTrip if bodies that move with a target come too near to others in a motion outside a run.
+
+        jogs: whether it is a jog, which may lead out of the distance. setpoint, feedback: AXES of rails and turntable.
+        """
+
     def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
         """Record the axes at ``t_s`` of the run; of a target that moves in it with those of ``chaser``.
 

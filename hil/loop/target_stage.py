@@ -14,13 +14,14 @@ from hil.config.rig import HeldAtPlace, RotaryManipulator, TargetManipulator
 from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import AXES, Array, new
+from hil.core.messages import AXES, Array, Homing, new
 from hil.drivers.base import AxisGroup
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_axes import TargetAxes
 from hil.safety.guard_alarms import breach_alarm
+from hil.safety.jog_guard import JogGuard
 
 
 class HeldAxes(TargetAxes):
@@ -108,6 +109,11 @@ class AxesTogether:
         for group in self.groups:
             group.relate(axes)
 
+    def check_apart(self, now_s: float, jogs: bool, setpoint: np.record, feedback: np.record) -> None:
+        """Check the bodies of all groups."""
+        for group in self.groups:
+            group.check_apart(now_s, jogs, setpoint, feedback)
+
     def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
         """Record all groups."""
         for group in self.groups:
@@ -156,9 +162,13 @@ class TargetInMotion(TargetAxes):
         self._sample = np.zeros(1, HELD_SAMPLE if params.rails else MANIPULATOR_SAMPLE)
         self._bench, self._rest_radps = bench, config.si("speed_mismatch_max")
         self._largest = np.zeros((3, 3))  # position, rate, following error
-        self.guards: tuple[np.record, np.record] | None = None
-        """See ``params.bench.target_guards``."""
-        self._breach, self._apart = new(guard.BREACH), kernel_record(new(AXES))
+        self._guards: tuple[np.record, np.record] | None = None
+        self._in_jogs: list[JogGuard] = []
+        self._breach, self._apart, self._near = new(guard.BREACH), kernel_record(new(AXES)), kernel_record(new(AXES))
+
+    def protect(self, guards: tuple[np.record, np.record] | None) -> None:
+        """Keep bodies that move with the target apart from others. guards: of ``params.bench.target_guards``."""
+        self._guards, self._in_jogs = guards, [JogGuard(each) for each in guards or ()]
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
         """Move all axes slowly to their positions for the start pose and wait until they are at rest there."""
@@ -183,17 +193,39 @@ class TargetInMotion(TargetAxes):
     def relate(self, axes: np.record) -> None:
         """Replace positions of rails and turntable, AXES, by those relative to the target, by its encoders."""
         self._relate(axes, self.feedback.position)
-        if self.guards is not None:
+        if self._guards is not None:
             at, rate = self.feedback.position, self.feedback.rate
-            self._check_bodies(self.guards[0], axes.rail_m, axes.rail_mps - rate, axes)
-            self._check_bodies(self.guards[1], at, rate, axes)
+            self._check_bodies(self._guards[0], self._set(self._apart, axes, axes.rail_m, axes.rail_mps - rate))
+            self._check_bodies(self._guards[1], self._set(self._apart, axes, at, rate))
 
-    def _check_bodies(self, of: np.record, rail_m: Array, rail_mps: Array, axes: np.record) -> None:
+    def check_apart(self, now_s: float, jogs: bool, setpoint: np.record, feedback: np.record) -> None:
+        """Raise SafetyTrip if bodies of the homed target come too near to others; a jog may lead away from them."""
+        if self._guards is None or any(state is not Homing.DONE for state in self.feedback.homing):
+            return
+        near, wanted, at, rate = self._near, self._apart, self.feedback.position, self.feedback.rate
+        self._set(near, feedback, feedback.rail_m, feedback.rail_mps)
+        if not jogs:
+            self.relate(near)
+            return
+        self._relate(near, at)
+        near.rail_mps -= rate
+        self._set(wanted, setpoint, setpoint.rail_m, setpoint.rail_mps - self._expected_rate)
+        self._relate(wanted, self._accepted)
+        if alarm := self._in_jogs[0].check(now_s, wanted, near):
+            raise alarm.trip()
+        self._set(wanted, setpoint, self._accepted, self._expected_rate)
+        if alarm := self._in_jogs[1].check(now_s, wanted, self._set(near, feedback, at, rate)):
+            raise alarm.trip()
+
+    def _set(self, out: np.record, axes: np.record, rail_m: Array, rail_mps: Array) -> np.record:
+        """Return ``out``, AXES, with these rails and the turntable of ``axes``."""
+        out.rail_m, out.rail_mps = rail_m, rail_mps
+        out.gimbal_rad, out.gimbal_radps = axes.gimbal_rad, axes.gimbal_radps
+        return out
+
+    def _check_bodies(self, of: np.record, axes: np.record) -> None:
         """Raise SafetyTrip if bodies that move with the target would come too near to others. of: GUARD."""
-        apart = self._apart
-        apart.rail_m, apart.rail_mps = rail_m, rail_mps
-        apart.gimbal_rad, apart.gimbal_radps = axes.gimbal_rad, axes.gimbal_radps
-        code = int(guard.enters_volume(of, apart, self._breach))
+        code = int(guard.enters_volume(of, axes, self._breach))
         if code != guard.NOTHING:
             raise breach_alarm(self.feedback.t_s, self.axis_names, code, self._breach).trip()
 

@@ -323,7 +323,7 @@ def _target(
     bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
     sink = sink if params.rails else sinks.get("manipulator_samples")
     moving = TargetInMotion(devices.target, config, params, bench, limits, start, sink)
-    moving.guards = bench_params.target_guards(rig, job.scenario.value)
+    moving.protect(bench_params.target_guards(rig, job.scenario.value))
     return moving, held
 
 

@@ -10,7 +10,7 @@ import pytest
 import hil
 from hil.cli.main import execute
 from hil.core.modes import Mode
-from hil.errors import BadInput
+from hil.errors import BadInput, BenchError
 from hil.recording.read import load
 from hil.session import build
 from tests.support.run_settings import make_job
@@ -125,6 +125,22 @@ def test_what_carries_the_target_stays_apart_from_chaser_and_lab(
     run = hil.run("planar", RIG, 1, 60.0 if pair else 10.0, table)
     assert run.stop.partition(" 0")[0] == ("bench: distance of bodies" if pair else "completed")
     assert not pair or f"bench.bodies {pair}" in run.stop
+
+
+@pytest.mark.parametrize(("axis", "inwards"), [("rails.x", -1), ("target.x", 1)])
+def test_jog_keeps_what_carries_the_target_apart_from_the_chaser_and_may_lead_away(axis: str, inwards: int) -> None:
+    bodies = {"carriage": (0.3, 1.2), "target": (-1.0, 0.0)}
+    table = {"rig.bench.bodies": [{"on": on, "vertices_m": _box(*ends)} for on, ends in bodies.items()]}
+    with hil.Bench(RIG, "planar", overrides=table) as bench:
+        bench.home()
+        if axis == "target.x":
+            bench.jog("rails.x", -1, 51.0)
+        with pytest.raises(BenchError, match=r"bench: distance of bodies 0.1\d+ m \(bench.bodies 1 and 2\)"):
+            bench.jog(axis, inwards, 60.0)
+        bench.reset()
+        stopped, _ = bench.axis_feedback(axis)
+        bench.jog(axis, -inwards, 2.0)
+        assert inwards * (stopped - bench.axis_feedback(axis)[0]) > 0.02
 
 
 def test_target_on_rails_and_gimbals_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
