@@ -33,7 +33,14 @@ if TYPE_CHECKING:
     from hil.core.settings import Setting
     from hil.gnc_backends.kernel_backend import kernel_backend
     from hil.parts.campaigns.api.bench import Bench
-    from hil.parts.campaigns.api.campaign_results import Campaign, Comparison, StudyResults, SweepResults, compare
+    from hil.parts.campaigns.api.campaign_results import (
+        Campaign,
+        Comparison,
+        StudyResults,
+        SweepResults,
+        compare,
+        open_campaign,
+    )
     from hil.parts.campaigns.api.campaigns import campaign, rare_event, sobol_indices, sweep
     from hil.parts.campaigns.api.margins import margins
     from hil.parts.campaigns.api.requirements import RunRequirement
@@ -73,6 +80,7 @@ __all__ = [
     "load_scenario",
     "margins",
     "open",
+    "open_campaign",
     "rare_event",
     "run",
     "sobol_indices",
@@ -108,6 +116,7 @@ _MODULES = {
     "load_scenario": "hil.api.jobs",
     "margins": "hil.parts.campaigns.api.margins",
     "open": "hil.api.recordings:open_recording",
+    "open_campaign": "hil.parts.campaigns.api.campaign_results",
     "rare_event": "hil.parts.campaigns.api.campaigns",
     "run": "hil.api.runs",
     "sobol_indices": "hil.parts.campaigns.api.campaigns",

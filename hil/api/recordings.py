@@ -43,6 +43,8 @@ def open_recording(path: str | Path, trust_code: bool = False) -> Recording:
     that is no recording or cannot be read. trust_code: whether its replay may load libraries, Python files and FMUs
     that the recording alone names.
     """
+    if (Path(path) / "campaign.json").is_file():
+        raise BadInput.single(str(path), "", "is the folder of a campaign: hil.open_campaign opens it")
     return Recording(load(Path(path)), trust_code)
 
 

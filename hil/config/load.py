@@ -8,7 +8,7 @@ import pickle
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_origin
@@ -81,11 +81,15 @@ def shipped(kind: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Loaded(Generic[Model]):
-    """Checked configuration: model, source, and the file or option that set each key."""
+    """Checked configuration: model, source, and the file or option that set each key.
+
+    given: the name and the settings with which it was loaded, () for an object.
+    """
 
     value: Model
     source: str
     origin: Mapping[str, str]
+    given: tuple[str, ...] = ()
 
     def where(self, key: str) -> str:
         """Return the file or option that set ``key``."""
@@ -182,7 +186,7 @@ def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], pre
     origin: dict[str, str] = {}
     table = read_with_bases(path, kind, model, origin)
     apply_settings(table, settings, model, origin, prefix)
-    return check_table(table, model, str(path), origin, prefix)
+    return replace(check_table(table, model, str(path), origin, prefix), given=(name, *settings))
 
 
 def check_table(

@@ -7,6 +7,7 @@ import importlib.util
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.machinery import ModuleSpec
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
@@ -62,7 +63,7 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     value = value.model_copy(update={"gnc": value.gnc.model_copy(update=table)})
     _refuse_undeclared(value, scenario.where("console.adjustable"))
     table = value.model_dump(mode="json", exclude_none=True)
-    return check_table(table, Scenario, scenario.source, dict(scenario.origin))
+    return replace(check_table(table, Scenario, scenario.source, dict(scenario.origin)), given=scenario.given)
 
 
 def declared_setting(scenario: Scenario, key: str) -> Setting:

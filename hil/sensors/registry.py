@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -99,7 +100,8 @@ def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
     if problems:
         raise BadInput(problems)
     table = scenario.value.model_dump(mode="json", exclude_none=True)
-    return check_table(table | {"sensors": tables}, Scenario, scenario.source, dict(scenario.origin))
+    with_all = check_table(table | {"sensors": tables}, Scenario, scenario.source, dict(scenario.origin))
+    return replace(with_all, given=scenario.given)
 
 
 def _refusal(scenario: Loaded[Scenario], key: str, config: SensorConfig, text: str) -> BadInput:

@@ -44,6 +44,31 @@ def test_campaigns_of_other_cases_are_not_compared() -> None:
         hil.compare(few, many)
 
 
+def test_finished_campaign_is_opened_again_and_names_the_command_of_a_case_with_all_settings(tmp_path: Path) -> None:
+    settings = {"dispersions": "stress", "gnc.control.deadband_m": 0.02}
+    flown = hil.campaign("scheme-1", 3, tmp_path / "c", overrides=settings, **SHORT)
+    opened = hil.open_campaign(tmp_path / "c")
+    assert opened.cases.equals(flown.cases)
+    assert opened.summary["why"] == flown.summary["why"]
+    command = opened.why(2)["command"].replace(str(tmp_path / "c"), "DIR")
+    options = "--rig mock --set 'dispersions=\"stress\"' --set gnc.control.deadband_m=0.02 --campaign DIR --case 2"
+    assert command == f"hil run scheme-1 {options}"
+    assert "gnc.control.deadband_m=0.02" in (tmp_path / "c" / "report.html").read_text()
+    with pytest.raises(BadInput, match=r"given .*deadband_m=0.02.*asked for: given .*\[\]\}\), give a new folder"):
+        hil.campaign("scheme-1", 3, tmp_path / "c", **SHORT)
+    with pytest.raises(BadInput, match=r"is the folder of a campaign: hil.open_campaign opens it"):
+        hil.open(tmp_path / "c")
+
+
+def test_folder_of_a_campaign_names_no_code_that_is_loaded(tmp_path: Path) -> None:
+    law = kernel_file(tmp_path, "out.force[0] = 0.0")
+    settings = {"gnc.control.backend": law}
+    hil.campaign("scheme-1", 1, tmp_path / "c", overrides=settings, **SHORT)
+    with pytest.raises(BadInput, match="which may be code: trust_code=True if you trust it"):
+        hil.open_campaign(tmp_path / "c")
+    assert len(hil.open_campaign(tmp_path / "c", trust_code=True).cases) == 1
+
+
 def test_sweep_has_a_campaign_for_each_value(tmp_path: Path) -> None:
     found = hil.sweep("scheme-1", "gnc.control.deadband_m", [0.004, 0.008], 3, tmp_path / "s", **SHORT)
     assert found.values == (0.004, 0.008)

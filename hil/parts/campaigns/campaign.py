@@ -38,13 +38,21 @@ from hil.parts.campaigns.statistics import (
     tolerance_bounds,
     wilson,
 )
-from hil.parts.campaigns.store import Store, atomic_write
+from hil.parts.campaigns.store import GIVEN, Store, atomic_write
 from hil.session import build
 from hil.session.assembly import Job
 from hil.session.compiled import Kernels, kernels_are_cached, runs_compiled
 from hil.session.warm_up import compile_group
 
 RIG: Final = "mock"
+
+
+def given_of(job: Job) -> dict[str, Any]:
+    """Return what was asked for by ``job``, as one can repeat it; nothing for Python objects."""
+    scenario, rig = job.scenario.given, job.rig.given
+    if not scenario or not rig or job.own != NO_BACKENDS:
+        return {}
+    return {GIVEN: {"scenario": scenario[0], "rig": rig[0], "settings": [*scenario[1:], *rig[1:]]}}
 
 
 @dataclass(frozen=True)
@@ -140,7 +148,9 @@ class CampaignJob:
         warn: called with a line for each file of an earlier start that cannot be used. more: part of the identity of
         the campaign. columns: names of numbers in addition to the common ones of campaigns.
         """
-        return Store(folder, self.identity() | (more or {}), [*self.design.names, *columns], warn)
+        return Store(
+            folder, self.identity() | (more or {}), [*self.design.names, *columns], warn, given_of(self.nominal)
+        )
 
     def identity(self) -> dict[str, Any]:
         """Return what distinguishes the campaign from others."""
@@ -194,6 +204,7 @@ class CampaignJob:
         remaining = sum(count for _, count in missing)
         begun_s = time.perf_counter()
         done, failures = 0, _first_errors(store.folder)
+        watch(Progress(title or self.scenario.value.name, runs - remaining, runs, 0.0))
         with closing(engine.run(spec, missing)) as results:
             for first, rows in results:
                 failures |= {row["case"]: row.pop(TRACEBACK) for row in rows if TRACEBACK in row}

@@ -7,7 +7,8 @@ first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +31,7 @@ from hil.parts.campaigns.drivers import (
 )
 from hil.parts.campaigns.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 from hil.parts.campaigns.statistics import wilson
-from hil.parts.campaigns.store import MANIFEST, TABLE, parquet, read_table
+from hil.parts.campaigns.store import GIVEN, MANIFEST, TABLE, parquet, read_table
 from hil.report.limits import LIMITS, bound, relative_margin, sentence, shown, unit_of, words_of
 
 _START: Final = 1.0  # s, up to which a limit is broken by the start
@@ -277,10 +278,20 @@ def driver_text(cause: dict[str, Any]) -> str:
     return f"driven by {what}: {where} {passes}, otherwise {cut['other_passes']} of {cut['other_cases']}"
 
 
-def case_of(table: Any, case: int, scenario: str, folder: str = "DIR") -> dict[str, Any]:
+def command_of(identity: Mapping[str, Any], folder: str, case: int) -> str:
+    """Return the command that flies ``case`` of a campaign. identity: content of its MANIFEST."""
+    given = identity.get(GIVEN)
+    if not isinstance(given, dict):  # of an earlier version, or of Python objects, which a command cannot name
+        return f"hil run {identity['scenario']} --campaign {folder} --case {case}"
+    settings = [text for setting in given["settings"] for text in ("--set", setting)]
+    options = ["--rig", given["rig"], *settings, "--campaign", folder, "--case", str(case)]
+    return shlex.join(["hil", "run", given["scenario"], *options])
+
+
+def case_of(table: Any, case: int, identity: Mapping[str, Any], folder: str = "DIR") -> dict[str, Any]:
     """Return why ``case`` of the pyarrow ``table`` fails: its cause, margins by size, alarms, the nearest that passes.
 
-    scenario, folder: of the campaign, for the command that flies the case. Raises BadInput for a case without a row.
+    identity, folder: of the campaign, for the command that flies the case. Raises BadInput for a case without a row.
     """
     at = np.flatnonzero(table.column("case").to_numpy() == case)
     if not len(at):
@@ -312,5 +323,5 @@ def case_of(table: Any, case: int, scenario: str, folder: str = "DIR") -> dict[s
         "stop": row["stop"],
         "limits": margins,
         "nearest": None if row["accepted"] else campaign.nearest(index),
-        "command": f"hil run {scenario} --campaign {folder} --case {case}",
+        "command": command_of(identity, folder, case),
     }  # fmt: skip

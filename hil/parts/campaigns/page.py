@@ -13,10 +13,10 @@ import numpy as np
 from hil.config.tables.required_parts import PART_COLUMNS
 from hil.core.files import MIB, parse_json, read_text, write_text
 from hil.errors import BadInput, one_line
-from hil.parts.campaigns.explain import Cases, dispersed_names, explain
+from hil.parts.campaigns.explain import Cases, command_of, dispersed_names, explain
 from hil.parts.campaigns.figure import dependence_figure, margins_figure, sweep_figure
 from hil.parts.campaigns.requirements_page import limit_text, result_text
-from hil.parts.campaigns.store import MANIFEST, atomic_write
+from hil.parts.campaigns.store import GIVEN, MANIFEST, atomic_write
 from hil.report import html
 from hil.report.figures import svg_address
 from hil.report.limits import LIMITS, shown, unit_of, words_of
@@ -91,7 +91,8 @@ def _campaign(cases: Cases) -> Iterator[str]:
         verdicts = [(r["id"], r["text"], limit_text(r), result_text(r), r["verdict"]) for r in summary["requirements"]]
         yield html.table(("id", "requirement", "limit", "result", "status"), verdicts, words=True)
     yield html.heading(2, "Set-up")
-    rows = [(key.replace("_", " "), str(value)) for key, value in cases.identity.items()]
+    identity = {**cases.identity, **cases.identity.get(GIVEN, {})}
+    rows = [(key.replace("_", " "), str(value)) for key, value in identity.items() if key != GIVEN]
     yield html.table(("", ""), rows, "Identity of the campaign", words=True)
     yield html.folded("summary", json.dumps({k: v for k, v in summary.items() if k != "why"}, indent=1))
 
@@ -141,7 +142,7 @@ def _causes(cases: Cases, why: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _command(cases: Cases, case: int) -> str:
-    return f"hil run {cases.identity['scenario']} --campaign {cases.folder.name} --case {case}"
+    return command_of(cases.identity, cases.folder.name, case)
 
 
 def _margin_table(cases: Cases) -> str:

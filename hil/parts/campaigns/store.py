@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
@@ -28,6 +28,8 @@ _GROUP: Final = 100 * BATCH  # cases per row group of the finished table
 MANIFEST: Final = "campaign.json"
 TABLE: Final = "cases.parquet"
 PARTS: Final = "parts"
+GIVEN: Final = "given"
+"""Key of the manifest: names of scenario and rig, and settings."""
 _LOCK: Final = "campaign.lock"
 _IDENTITY: Final = b"hil.campaign"
 """Key of the metadata of a part (campaign, first case, count, checksum of the rows) and of the table (campaign)."""
@@ -57,9 +59,9 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> Any:
 class Store:
     """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 
-    names: of the dispersions. warn: called with a line for each file that cannot be used. The folder is locked until
-    the store is closed or its process ends. Raises BadInput for a folder with other results, or if another campaign is
-    running in it.
+    names: of the dispersions. warn: called with a line for each file that cannot be used. about: kept beside the
+    identity, and need not be the same. The folder is locked until the store is closed or its process ends. Raises
+    BadInput for a folder with other results, or if another campaign is running in it.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class Store:
         identity: dict[str, Any],
         names: list[str],
         warn: Callable[[str], None] = lambda _: None,
+        about: Mapping[str, Any] | None = None,
     ) -> None:
         self._pa, self._pq = parquet()
         self._warn = warn
@@ -85,13 +88,13 @@ class Store:
                 *((name, self._pa.float64()) for name in (*NUMBERS, *MARGINS)),
             ]
         )
-        self._open(identity)
+        self._open(identity, about or {})
 
     @property
     def table_path(self) -> Path:
         return self.folder / TABLE
 
-    def _open(self, identity: dict[str, Any]) -> None:
+    def _open(self, identity: dict[str, Any], about: Mapping[str, Any]) -> None:
         manifest = self.folder / MANIFEST
         try:
             if not manifest.is_file() and self.folder.is_dir() and any(map(_is_unknown, self.folder.iterdir())):
@@ -99,9 +102,9 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.close = weakref.finalize(self, os.close, self._locked(self.folder / _LOCK))
             if manifest.is_file():
-                self._check(manifest, identity)
+                self._check(manifest, identity, about)
             with atomic_write(manifest) as partial:
-                partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
+                partial.write_text(json.dumps({**identity, **about}, indent=2) + "\n", encoding="utf-8")
             self._parts.mkdir(exist_ok=True)
             for left_over in self._parts.glob("*.part"):
                 left_over.unlink()
@@ -130,16 +133,18 @@ class Store:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _check(self, manifest: Path, identity: dict[str, Any]) -> None:
+    def _check(self, manifest: Path, identity: dict[str, Any], about: Mapping[str, Any]) -> None:
         try:
             stored = parse_json(read_text(manifest, CONFIG_BYTES))
         except (BadInput, ValueError) as error:
             raise BadInput.single("--out", "", f"{manifest}: cannot be read: {error}") from error
-        if stored != identity:
-            held = stored if isinstance(stored, dict) else {}
-            different = [key for key in {**identity, **held} if held.get(key) != identity.get(key)]
+        held = stored if isinstance(stored, dict) else {}
+        different = [key for key in {**identity, **held} if key != GIVEN and held.get(key) != identity.get(key)]
+        if different:
+            if GIVEN in held and held[GIVEN] != about.get(GIVEN):
+                different = [GIVEN, *(key for key in different if not key.endswith("digest"))]
             text = f"{self.folder}: holds another campaign ({_listed(held, different)}; asked for: "
-            text += f"{_listed(identity, different)}), give a new folder"
+            text += f"{_listed({**identity, **about}, different)}), give a new folder"
             raise BadInput.single("--out", "", text)
 
     def missing(self, runs: int) -> list[tuple[int, int]]:
@@ -277,4 +282,4 @@ def _listed(identity: dict[str, Any], keys: Iterable[str]) -> str:
 
 def _short(value: Any) -> str:
     text = json.dumps(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return text if len(text) <= 300 else f"{text[:297]}..."

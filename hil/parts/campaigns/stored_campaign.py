@@ -24,7 +24,8 @@ class StoredCampaign:
         if not path.is_file():
             raise BadInput.single(_OPTION, "", f"{folder}: holds no campaign")
         try:
-            identity: Any = parse_json(read_text(path, CONFIG_BYTES))
+            self.identity: Any = parse_json(read_text(path, CONFIG_BYTES))
+            identity = self.identity
             self.scenario, self.digest = str(identity["scenario"]), str(identity["digest"])
             self.scenario_digest = str(identity.get("scenario_digest", ""))
             self.seed, self.duration_s = int(identity["seed"]), float(identity["duration_s"])

@@ -128,7 +128,9 @@ class CampaignRequest:
                 summary = study.run(job, store, engine, watch)
                 if self.rare is not None or self.sobol is not None:
                     return self._study_results(job, store, summary)
-                campaigns.append(Campaign(job.nominal, summary, store.table()))
+                campaigns.append(
+                    Campaign(job.nominal, summary, store.table(), None if self.out is None else store.folder)
+                )
                 if self.out is not None and self.figures:
                     draw_percentiles(store, job.scenario.value, store.folder / "percentiles.png")
                     draw_integrity(store, store.folder / "stanford.png")

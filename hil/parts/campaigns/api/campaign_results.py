@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from hil.api.frames import library
+from hil.api.jobs import job_of, named_as_argument
 from hil.api.results import Run
 from hil.api.run_comparison import RunComparison, other_settings
 from hil.api.runs import RunRequest, log, run_job, run_or_raise
+from hil.config.load import shipped
 from hil.core.messages import Array
 from hil.core.public import public
 from hil.errors import BadInput, did_you_mean
 from hil.maths.random_streams import MixedSeed
-from hil.parts.campaigns.campaign import Sweep, campaign_digest, sweep_summary
+from hil.parts.campaigns.campaign import CampaignJob, Sweep, campaign_digest, given_of, sweep_summary
 from hil.parts.campaigns.dispersions import Design, case_seed
+from hil.parts.campaigns.explain import Cases, case_of, command_of, explain
 from hil.parts.campaigns.sobol_indices import sobol_point
 from hil.parts.campaigns.statistics import compare as compare_columns
+from hil.parts.campaigns.store import GIVEN
 from hil.parts.campaigns.stored_campaign import StoredCampaign
 from hil.session.assembly import Job
 from hil.session.warm_up import compile_kernels
@@ -55,7 +60,8 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
         unit, mixed = sobol_point(stored.seed, case, len(Design(job.scenario, job.seed).names))
     note = ""
     if stored.digest != campaign_digest(job.scenario.value, job.rig.value):
-        note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}"
+        note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}, "
+        note += f"which is {command_of(stored.identity, str(folder), case)}"
     return job_of_case(job, case, mixed, unit), stored.seed, note
 
 
@@ -75,13 +81,15 @@ class Campaign:
 
     summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, causes.
     cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
-    (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
+    (``cases.to_pandas()`` if pandas is installed). job: the nominal run. folder: of the results, None if they are not
+    kept.
     """
 
-    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table) -> None:
+    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table, folder: Path | None = None) -> None:
         self.job = job
         self.summary = summary
         self.cases = cases
+        self.folder = folder
 
     @property
     def accepted_rate(self) -> dict[str, float | int]:
@@ -117,10 +125,12 @@ class Campaign:
 
         case: number of a case; the result then has its margins and the nearest case that passes. Raises BadInput.
         """
-        from hil.parts.campaigns.explain import case_of, explain  # slow import
-
         names = Design(self.job.scenario, self.job.seed).names
-        return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
+        if case is None:
+            return explain(self.column, names)
+        with named_as_argument():
+            identity = {"scenario": self.job.scenario.value.name, **given_of(self.job)}
+            return case_of(self.cases, case, identity, "DIR" if self.folder is None else str(self.folder))
 
     @public
     def run_case(self, case: int) -> Run:
@@ -163,6 +173,38 @@ class Campaign:
 
         why = "".join(html.paragraph(cause["text"]) for cause in self.summary["why"]["causes"][:3])
         return html.paragraph(repr(self)[1:-1]) + why + html.image("outcomes of the cases", svg_address(self.figure()))
+
+
+@public
+def open_campaign(folder: str | Path, trust_code: bool = False) -> Campaign:
+    """Return the finished campaign in ``folder``, as ``hil.campaign`` returned it. Raises BadInput.
+
+    Its scenario is loaded again, with the settings of then, and must be the same. trust_code: load a scenario or rig of
+    one's own, or a setting that is a text, any of which may name code. Results of Python objects and of studies:
+    ``hil.campaign`` with the same arguments.
+    """
+    cases, stored = Cases(Path(folder), "folder"), StoredCampaign(Path(folder))
+    given = cases.identity.get(GIVEN)
+    if not isinstance(given, dict) or not stored.is_sample:
+        text = f"{folder}: hil.campaign with the same arguments returns its results"
+        raise BadInput.single("folder", "", text)
+    names, settings = (given["scenario"], given["rig"]), tuple(given["settings"])
+    texts = [each for each in settings if not each.startswith("dispersions=") and _is_text(each.partition("=")[2])]
+    own = [name for name, kind in zip(names, ("scenarios", "rigs"), strict=True) if name not in shipped(kind)]
+    if (own or texts) and not trust_code:
+        text = f"{folder}: names {', '.join([*own, *texts])}, which may be code: trust_code=True if you trust it"
+        raise BadInput.single("folder", "", text)
+    with named_as_argument():
+        nominal = CampaignJob.of(job_of(*names, settings, stored.seed, stored.duration_s)).nominal
+    if campaign_digest(nominal.scenario.value, nominal.rig.value) != stored.digest:
+        text = f"{folder}: {' or '.join(names)} has changed since: run the campaign again"
+        raise BadInput.single("folder", "", text)
+    return Campaign(nominal, cases.summary, cases.table, Path(folder))
+
+
+def _is_text(value: str) -> bool:
+    """Return whether ``value`` of a setting is neither number, truth value nor list of them."""
+    return re.fullmatch(r"[-+0-9.eE\[\], ]*|true|false|inf|nan", value) is None
 
 
 class StudyResults:

@@ -41,9 +41,7 @@ def _of_campaign(folder: Path, case: int | None) -> dict[str, Any]:
 
     cases = Cases(folder)
     return (
-        explain(cases.column, cases.names)
-        if case is None
-        else case_of(cases.table, case, cases.identity["scenario"], str(folder))
+        explain(cases.column, cases.names) if case is None else case_of(cases.table, case, cases.identity, str(folder))
     )
 
 
