@@ -122,7 +122,8 @@ def job_of(
     named, own = own_backends(**backends)
     settings = (*settings_of(overrides), *named)
     loaded = with_faults(loaded_scenario(scenario, settings), faults or ())
-    return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc, own)
+    origin = dict(loaded.origin) | {f"gnc.{part}.backend": part for part in backends if backends.get(part) is not None}
+    return make_job(replace(loaded, origin=origin), loaded_rig(rig, settings), seed, duration_s, speed, gnc, own)
 
 
 def own_backends(navigation: Any = None, control: Any = None) -> tuple[Settings, OwnBackends]:

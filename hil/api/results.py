@@ -24,7 +24,7 @@ from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.outcome import Outcome
-from hil.report.consistency import Nees, nees_of
+from hil.report.consistency import NO_NEES, Nees, nees_of
 from hil.report.limits import why_of
 from hil.report.results import RunResults
 from hil.report.summary import limits_of
@@ -61,6 +61,11 @@ class RecordGroup:
         if name == "records" or name not in self.fields:
             raise AttributeError(f"no field {name!r}; this group has {', '.join(self.fields)}")
         values: np.ndarray = self.records[name]
+        return values
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a field by its name."""
+        values: np.ndarray = getattr(self, name)
         return values
 
     def __len__(self) -> int:
@@ -259,11 +264,24 @@ class Run:
         return RecordGroup(rows, rows["t_s"])
 
     @public
-    def plot(self, name: Literal["ready", "trajectory", "attitude", "nees", "thrusters"] = "ready") -> Figure:
+    def show(self, explain: bool = False) -> None:
+        """Print the verdict and the key numbers, as ``hil run``. explain: with what each line means."""
+        from rich.console import Console  # slow imports
+
+        from hil.report.section import sections_of
+        from hil.report.table import render
+
+        render(RunResults.of(self.summary), self.verdict, self.scenario.requirements, Console(), explain)
+        for section in sections_of(self.summary):
+            print("\n".join(section.text()))  # noqa: T201
+
+    @public
+    def plot(self, name: Literal["ready", "trajectory", "errors", "attitude", "nees", "thrusters"] = "ready") -> Figure:
         """Return a figure of matplotlib. Raises BadInput.
 
         - ``ready``: the truth against the ready state (bench paper figures 6 and 7).
         - ``trajectory``: path, position and velocity in H.
+        - ``errors``: errors of the estimate of position and velocity, with 3 sigma.
         - ``attitude``: angles, and error of the estimate with 3 sigma.
         - ``nees``: NEES of both filters at each pose, with its bounds.
         - ``thrusters``: openings of each thruster.
@@ -285,7 +303,7 @@ class Run:
             raise BadInput.single("probability", "", f"{probability:g}: must be above 0 and below 1")
         nees = nees_of(self.history, self.scenario.chaser.planar, probability)
         if not len(nees.t_s):
-            raise BadInput.single(self._source(), "", "has no NEES: no pose, or a filter without covariance")
+            raise BadInput.single(self._source(), "", f"has no NEES: {NO_NEES}")
         return nees
 
     @public
@@ -321,6 +339,7 @@ class Run:
         ready = "never ready" if self.ready_time_s is None else f"ready at {self.ready_time_s:.2f} s"
         verdict = "accepted" if self.accepted else "not accepted"
         name = f"{self.summary['scenario']} on {self.summary['rig']}, seed {self.summary['seed']}"
+        name += f", case {case}" if (case := self.summary.get("case")) is not None else ""
         return f"<{type(self).__name__} {name}: {verdict}, {ready}, {self.stop}>"
 
     def _repr_html_(self) -> str:
@@ -384,4 +403,6 @@ def write_report(runs: Sequence[Run], path: str | Path) -> None:
         raise BadInput.single(str(path), "", "must end in .html")
     for run in runs:
         run._require_cycles()
+    if not target.absolute().parent.is_dir():
+        raise BadInput.single(str(path), "", "cannot be written: no such folder")
     write_text(page.report([run.as_recorded() for run in runs]), target)

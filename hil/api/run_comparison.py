@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def other_settings(first: Scenario, second: Scenario) -> str:
-    """Return the keys of ``second`` that have other values than in ``first``, three at most, "" for none."""
+def settings_of_both(first: Scenario, second: Scenario) -> dict[str, tuple[Any, Any]]:
+    """Return the values in ``first`` and ``second`` of each key that differs, None where it is absent."""
     one, other = (dict(leaves(each.model_dump(mode="json"))) for each in (first, second))
     keys = [path for path in {**other, **one} if one.get(path) != other.get(path) and path != ("name",)]
-    texts = [f"{'.'.join(path)} {other.get(path, 'absent')} for {one.get(path, 'absent')}"[:80] for path in keys]
-    return ", ".join(texts[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
+    return {".".join(path): (one.get(path), other.get(path)) for path in keys}
+
+
+def shown(settings: Mapping[str, tuple[Any, Any]]) -> str:
+    """Return `` (KEY second for first)`` of three ``settings`` at most, "" for none."""
+    texts = [f"{key} {second} for {first}"[:80] for key, (first, second) in settings.items()]
+    more = f" and {len(texts) - 3} more: settings" if len(texts) > 3 else ""
+    return f" ({', '.join(texts[:3])}{more})" if texts else ""
 
 
 class RunComparison:
@@ -45,6 +52,11 @@ class RunComparison:
         """Whether both runs have the same scenario, by its name, and the same step."""
         return len({(run.scenario.name, run.scenario.step_s) for run in (self.first, self.second)}) == 1
 
+    @property
+    def settings(self) -> dict[str, tuple[Any, Any]]:
+        """Keys of the scenario that differ, with the values of the first and of the second."""
+        return settings_of_both(self.first.scenario, self.second.scenario)
+
     def to_pandas(self) -> Any:
         """Return a DataFrame of the divergences, indexed by their names. Raises BadInput without pandas."""
         return library("pandas").DataFrame([asdict(each) for each in self.divergences]).set_index("name")
@@ -57,13 +69,17 @@ class RunComparison:
 
     def __repr__(self) -> str:
         names = " against ".join(repr(run)[1:-1].partition(":")[0] for run in (self.second, self.first))
-        if other := other_settings(self.first.scenario, self.second.scenario):
-            names += f" ({other})"
+        names += shown(self.settings)
         if not self.is_of_one_scenario:
             return f"<RunComparison {names}: other scenarios or steps, the truths are not compared>"
         worst = max(self.divergences, key=lambda each: each.of_tolerance, default=None)
         if worst is None:
             return f"<RunComparison {names}: no common cycle>"
+        verdicts = ["accepted" if run.accepted else "not accepted" for run in (self.second, self.first)]
+        if verdicts[0] != verdicts[1]:
+            names += f": {verdicts[0]}, {verdicts[1]}"
+        if worst.largest == 0.0:
+            return f"<RunComparison {names}: the truths are identical>"
         share = f"{100.0 * worst.of_tolerance:.0f} % of Table III"
         return f"<RunComparison {names}: {worst.name} differs by up to {worst.largest:.4g} {worst.unit}, {share}>"
 

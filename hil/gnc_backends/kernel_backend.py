@@ -52,6 +52,8 @@ def kernel_backend(
 
     Raises ValueError for a declaration that contradicts itself.
     """
+    if callable(settings):
+        raise BadInput.single("kernel_backend", "", "is a decorator with parentheses: @hil.kernel_backend()")
     checked = checked_settings(settings)
     layout = None if memory is None else np.dtype(memory, align=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.gnc.estimation.plane import filter_states
 from hil.maths.chi_square import band_of_mean
+
+NO_NEES: Final = "no pose, or a navigation of one's own, whose covariance the bench does not have"
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Nees:
     def inside(self, name: str) -> float:
         """Return the fraction of the values of a filter, ``position`` or ``attitude``, in its bounds; nan without."""
         if name not in ("position", "attitude"):
-            raise BadInput.single("nees", "", f"{name!r}: must be position or attitude")
+            raise BadInput.single("inside", "", f"{name!r}: must be position or attitude")
         values, (low, high) = getattr(self, name), getattr(self, f"{name}_bounds")
         known = values[np.isfinite(values)]
         return float(((low <= known) & (known <= high)).mean()) if len(known) else np.nan

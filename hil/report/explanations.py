@@ -14,8 +14,8 @@ EXPLANATIONS: Final = {
     "integrity": "With each estimate the GNC states a protection level, which bounds its error. Misleading: the error "
     "is beyond an alert limit, the level below it, and no alarm. Available: fraction of the cycles with a level below "
     "its alert limit.",
-    "decision": "Docking go by the estimate, checked against the truth. NEES consistent: the mean error squared over "
-    "its covariance is no larger than in a filter whose sigmas are right.",
+    "decision": "Docking go by the estimate, checked against the truth. NEES not too large: the mean error squared "
+    "over its covariance is no larger than in a filter whose sigmas are right; a budget makes it smaller.",
     "Ready": "First time at which each row of Table III has held for the dwell time.",
     "Navigation": "Root mean square of the error from 100 s on. Bound: Cramér-Rao bound, the least error of any filter "
     "with these sensors over the spread of the error budget: a run with smaller errors may be below it. It is a "

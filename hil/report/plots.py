@@ -13,7 +13,7 @@ from hil.core.messages import Array
 from hil.gnc.approach_monitor import corridor_radius
 from hil.params import gnc as gnc_params
 from hil.report import figures
-from hil.report.consistency import Nees, nees_of
+from hil.report.consistency import NO_NEES, Nees, nees_of
 from hil.report.figures import COLOURS, axes_of, band, line
 from hil.report.verdict import Verdict, deviations
 from hil.report.verdict_parts import attitude_error
@@ -73,6 +73,24 @@ def attitude(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figu
     return figure
 
 
+def errors(history: np.ndarray, _scenario: Scenario, _verdict: Verdict) -> Figure:
+    """Return the errors of the estimate of position and velocity in H, with 3 sigma as the navigation states them."""
+    figure, axes = axes_of(3, 2, 7.5, sharex=True)
+    rows = history[history["navigation"]["valid"] == 1]
+    truth, estimate = rows["truth"], rows["navigation"]
+    names = (("r_CT_H", "sigma_r_m", "m"), ("v_CT_H", "sigma_v_mps", "m/s"))
+    for column, (name, sigma, unit) in enumerate(names):
+        for i in range(3):
+            if len(rows):
+                band(axes[i, column], rows["t_s"], 3.0 * estimate[sigma][:, i])
+                line(axes[i, column], rows["t_s"], estimate[name][:, i] - truth[name][:, i], color=COLOURS[i])
+            axes[i, column].set_ylabel(f"{'xyz'[i]}, {unit}")
+        axes[2, column].set_xlabel("time, s")
+    axes[0, 0].set_title("error of the estimate of position in H, grey: 3 sigma", loc="left", fontsize=10)
+    axes[0, 1].set_title("of velocity", loc="left", fontsize=10)
+    return figure
+
+
 def nees(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Figure:
     """Return the NEES of both filters at each pose, with the bounds of a single value and the expected mean."""
     figure, axes = axes_of(2, 1, 5.5, sharex=True)
@@ -95,7 +113,7 @@ def _inside(of_poses: Nees, name: str) -> str:
     values = getattr(of_poses, name)
     known = values[np.isfinite(values)]
     if not len(known):
-        return "no NEES: no pose, or a filter without covariance"
+        return f"no NEES: {NO_NEES}"
     share = 100.0 * of_poses.inside(name)
     return f"mean of all poses {known.mean():.2f}, {share:.1f} % of {len(known)} values in the bounds"
 
@@ -145,6 +163,7 @@ def thrusters(history: np.ndarray, scenario: Scenario, _verdict: Verdict) -> Fig
 PLOTS: Final[dict[str, Callable[[np.ndarray, Scenario, Verdict], Figure]]] = {
     "ready": figures.motion,
     "trajectory": trajectory,
+    "errors": errors,
     "attitude": attitude,
     "nees": nees,
     "thrusters": thrusters,

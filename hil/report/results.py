@@ -168,7 +168,7 @@ class Decision(PartResults):
     go_s: float | None = row("first [go](../../explanation/integrity.md#go); null for never")
     error: bool = row("a go with the truth outside the requirement")
     nees_ok: bool | None = row(
-        "mean NEES of all poses consistent, those before 100 s included; null without a covariance"
+        "mean NEES of all poses not too large, those before 100 s included; null without a covariance"
     )
     beyond_level_cycles: int = row("cycles with an error beyond the protection level")
     error_over_level: float = row("largest error over protection level")

@@ -229,7 +229,7 @@ def _decision_text(part: results.Decision) -> str:
     go = "never a go" if part.go_s is None else f"docking a go at {part.go_s:.2f} s"
     if part.error:
         go += ", with the truth outside the requirement"
-    nees = {None: "no NEES", True: "NEES consistent", False: "NEES too large"}[part.nees_ok]
+    nees = {None: "no NEES", True: "NEES not too large", False: "NEES too large"}[part.nees_ok]
     return f"{go}; {nees}, {part.beyond_level_cycles} cycles beyond the protection level"
 
 

@@ -59,7 +59,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> Any:
 class Store:
     """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 
-    names: of the dispersions. warn: called with a line for each file that cannot be used. about: kept beside the
+    names: of the dispersions. warn: called with a line for each file that cannot be used. about: kept with the
     identity, and need not be the same. The folder is locked until the store is closed or its process ends. Raises
     BadInput for a folder with other results, or if another campaign is running in it.
     """

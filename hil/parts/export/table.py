@@ -120,7 +120,7 @@ def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target:
         with replaced(target) as partial:
             _write(form, table, units, partial)
     except OSError as error:
-        raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
+        raise BadInput.single(str(target), "", f"cannot be written: {error.strerror or error}") from error
 
 
 def _table(recording: Contents, topic: str) -> dict[str, Any] | None:

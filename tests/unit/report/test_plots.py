@@ -58,9 +58,21 @@ def test_nees_has_its_bounds_at_each_pose(run: hil.Run) -> None:
     assert nees_of(run.history[:0], False).t_s.shape == (0,)
 
 
+def test_verdict_is_shown_as_on_the_command_line(run: hil.Run, capsys: pytest.CaptureFixture[str]) -> None:
+    run.show(explain=True)
+    shown = capsys.readouterr().out
+    assert "ok   security           corridor margin" in shown
+    assert "Root mean square of the error" in shown
+    assert "FAIL scheme-1 on mock, seed 0" in shown
+
+
 def test_runs_and_recordings_are_compared_alike(run: hil.Run, tmp_path) -> None:  # type: ignore[no-untyped-def]
     same = hil.compare(run, hil.run("scheme-1", duration_s=12.0))
     assert {each.largest for each in same.divergences} == {0.0}
+    assert "the truths are identical" in repr(same)
+    lighter = hil.compare(run, hil.run("scheme-1", duration_s=0.1, overrides={"chaser.mass_kg": 900.0}))
+    assert lighter.settings == {"chaser.mass_kg": (1000.0, 900.0)}
+    assert "chaser.mass_kg 900.0 for 1000.0" in repr(lighter)
     other = hil.run("scheme-1", seed=1, duration_s=12.0, record=tmp_path)
     found = hil.compare(run, hil.open(next(tmp_path.glob("*.mcap"))))
     assert len(found.divergences) == 9

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 from hil.api.frames import library
 from hil.api.jobs import job_of, named_as_argument
 from hil.api.results import Run
-from hil.api.run_comparison import RunComparison, other_settings
+from hil.api.run_comparison import RunComparison, settings_of_both, shown
 from hil.api.runs import RunRequest, log, run_job, run_or_raise
 from hil.config.load import shipped
 from hil.core.messages import Array
@@ -244,16 +244,24 @@ class Comparison:
 
     @property
     def difference(self) -> dict[str, Any]:
-        """Mean difference of each outcome with its 95 % interval: ``mean``, ``low``, ``high``, ``n``."""
+        """Mean difference of each outcome, ``mean``, its 95 % interval, ``low``, ``high``, ``n`` and both means."""
         difference: dict[str, Any] = self.summary["difference"]
         return difference
+
+    @property
+    def settings(self) -> dict[str, tuple[Any, Any]]:
+        """Keys of the scenario that differ, with the values of the first and of the second."""
+        return settings_of_both(self.first.job.scenario.value, self.second.job.scenario.value)
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame of ``difference``, indexed by the outcomes. Raises BadInput without pandas."""
+        return library("pandas").DataFrame(self.difference).T
 
     def __repr__(self) -> str:
         rates = self.summary["accepted_rate"]
         first, second = (rates[name]["passed"] for name in ("first", "second"))
         names = f"{self.summary['second']} against {self.summary['first']}"
-        if other := other_settings(self.first.job.scenario.value, self.second.job.scenario.value):
-            names += f" ({other})"
+        names += shown(self.settings)
         return f"<Comparison {names}: {second} and {first} of {self.summary['runs']} accepted>"
 
 
@@ -277,7 +285,8 @@ def compare(first: Run | Campaign, second: Run | Campaign) -> Comparison | RunCo
     if isinstance(first, Run) or isinstance(second, Run):
         raise BadInput.single("compare", "", "a run and a campaign: give two runs or recordings, or two campaigns")
     if first.job.seed != second.job.seed or len(first.cases) != len(second.cases):
-        text = "both campaigns must have the same seed and number of cases"
+        shown_of = [f"seed {each.job.seed} with {len(each.cases)} cases" for each in (first, second)]
+        text = f"{' and '.join(shown_of)}: both campaigns must have the same seed and number of cases"
         raise BadInput.single("compare", "", text)
     names = (first.summary["scenario"], second.summary["scenario"])
     return Comparison(first, second, compare_columns(first, second, names))

@@ -133,7 +133,10 @@ def campaign(
     show = given.pop("on_progress", lambda *_: None)
     with named_as_argument():
         folder = None if out is None else Path(out)
-        return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run(show, log.warning)
+        results = CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run(show, log.warning)
+    if isinstance(results, Campaign) and (first := results.summary.get("first_error")):
+        log.warning("case %d raised, first of all: %s", first["case"], first["traceback"].strip().splitlines()[-1])
+    return results
 
 
 @public
