@@ -146,10 +146,14 @@ def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
 
     def add(new: InstalledPart) -> None:
         what = f"part {new.part.name} of package {new.origin}"
-        if taken := [claim for claim in new.part.claims() if claim in owners]:
+        claims = [*new.part.claims()]
+        if taken := [claim for claim in claims if claim in owners]:
             joint.problems.append(f"{what}: {taken[0]} is that of {owners[taken[0]]}: the part is left out")
             return
-        owners.update(dict.fromkeys(new.part.claims(), what))
+        if twice := [claim for claim in claims if claims.count(claim) > 1]:
+            joint.problems.append(f"{what}: declares {twice[0]} twice: the part is left out")
+            return
+        owners.update(dict.fromkeys(claims, what))
         joint.usable[new.part.name] = new
 
     for each in own:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -142,7 +143,7 @@ def test_scenario_with_a_table_of_an_absent_part_is_not_run(
     (line,) = done.err.splitlines()
     assert done.code == 2
     assert line.startswith(f"{folder / 'own0.toml'}: ranging: unknown key: ")
-    assert line.endswith("or the table of a part that is not installed, see hil list parts")
+    assert "or the table of a part that is not installed, see hil list parts" in line
 
 
 @pytest.mark.parametrize("command", ["replay", "report", "bag"])
@@ -173,3 +174,17 @@ def test_part_changes_neither_a_campaign_that_does_not_use_it_nor_the_digest_of_
     assert flown[4].out == resumed.out
     (recording,) = folder.glob("*.mcap")
     assert hil.open(recording).recorded.run["calibration_motion"] == motion_digest(load_rig("mock").value)
+
+
+def test_recording_of_an_earlier_version_of_the_part_is_read(
+    package: Path, flown: Sequence[Done], folder: Path, tmp_path: Path
+) -> None:
+    later = shutil.copytree(package, tmp_path / "later")
+    session = later / "hil_ranging" / "session.py"
+    added = 'Field("speed_mps", "f8", (), "m/s", "", "of the distance", math.nan),\n)\nSAMPLE = '
+    session.write_text(session.read_text().replace(")\nSAMPLE = ", added, 1))
+    site = example_driver.install(tmp_path / "site", later)
+    (recording,) = folder.glob("*.mcap")
+    (done,) = commands.run(site, [("ranging", recording)])
+    assert done.code == 0, done.err
+    assert len(done.out.splitlines()) == 21

@@ -54,7 +54,10 @@ def apply(step: re.Match[str], tree: Path) -> None:
     path = tree / (step["file"] or step["changed"])
     text = path.read_text(encoding="utf-8")
     if step["changed"]:
-        assert text.count(step["old"]) == 1, step["old"]
+        stands = text.count(step["old"])
+        assert stands == 1, (
+            f"CONTRIBUTING.md: {step['old']!r} is {stands} times in {path.relative_to(tree)}: mend the recipe"
+        )
         path.write_text(text.replace(step["old"], step["new"]), encoding="utf-8")
         return
     lines = text.splitlines(keepends=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.core import part
-from hil.core.part import InstalledPart, Part, PartCommand, Parts, joined, provided
+from hil.core.part import InstalledPart, Part, PartCommand, Parts, PartSink, joined, provided
 from hil.errors import BadInput
 from hil.loop.outcome import Outcome
 from hil.loop.session_parts import PartResult, SessionParts
@@ -26,6 +26,9 @@ OURS = InstalledPart(
 )
 ROBOT = Part(name="robot", summary="Robot.", commands={"robot": PartCommand("acme.cli:robot", "Move.")})
 SECOND = Part(name="laser", summary="Laser.", commands={"track": PartCommand("acme.cli:track", "Track.")})
+TWICE = Part(
+    name="twice", summary="Two sinks.", sinks={name: PartSink(9, "/same", "S", "m:F") for name in ("one", "other")}
+)
 TRACKER = Part(name="tracker", summary="Another.")
 NUMBER = 3
 
@@ -49,6 +52,7 @@ def test_part_of_another_package_is_no_different_from_a_built_in_one() -> None:
         ("robot", "NUMBER", "is of type int, expected Part"),
         ("arm", "ROBOT", "declares part robot, expected arm"),
         ("tracker", "TRACKER", "name tracker is that of part tracker of package hil: the part is left out"),
+        ("twice", "TWICE", "declares topic /same twice: the part is left out"),
         ("laser", "SECOND", "command track is that of part tracker of package hil: the part is left out"),
     ],
 )

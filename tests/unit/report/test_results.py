@@ -35,6 +35,11 @@ def unset(results: Results, at: str = "") -> Iterator[str]:
             yield from unset(value, f"{where}.")
 
 
+def test_each_row_with_a_label_has_a_meaning_and_a_text() -> None:
+    rows = [row for table in Results._tables.values() for row, inner in table.rows() if inner is None]
+    assert [row.name for row in rows if row.metadata["label"] and not row.metadata["meaning"]] == []
+
+
 def test_each_row_that_cannot_be_absent_is_set_in_a_run(summary: dict[str, Any]) -> None:
     assert list(unset(RunResults.of(summary))) == []
     assert next(unset(RunResults.of(summary | {"thrusters": {}}))).startswith("thrusters.")
