@@ -42,6 +42,8 @@ def _explains(params, state, fusion, fraction, dt_s):
         return COMMANDS
     if thrust.swing.until > 0 and (fusion.cycle - thrust.swing.until) * dt_s < _RECENT_S:
         return SWING
+    if state.worst_of < 3 and thrust.swing.halves[state.worst_of] > 0:  # slosh shows itself once, firings move it again
+        return SWING
     if thrust.jumped > 0 and (fusion.cycle - thrust.jumped) * dt_s < _RECENT_S:
         return DISTURBANCE
     if thrust.without_imu == 0 and _is_along(thrust.excess_C, fusion.corrected):
