@@ -57,7 +57,7 @@ def test_what_the_imu_has_shown_by_itself_keeps_the_name_back(
     assert case.state.cause == cause
 
 
-def test_old_swing_explains_nothing_but_along_its_axis_and_a_mean_of_the_attitude_alone_names_no_device() -> None:
+def test_old_swing_explains_only_its_own_axis_and_a_mean_of_the_attitude_alone_names_no_device() -> None:
     old = Inconsistent()
     old.fusion.thrust.swing.until = 5_000
     assert old.health() == SUSPECT
