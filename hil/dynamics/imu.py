@@ -77,9 +77,10 @@ def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples,
     """
     n = samples.shape[0]
     means, fraction, w_before = stack.matrix(4, 3), stack.vector(MAX_THRUSTERS), stack.vector(3)
-    for row in range(4):
-        fill(means[row], 0.0)
-    fill(fraction, 0.0)
+    if n > 1:
+        for row in range(4):
+            fill(means[row], 0.0)
+        fill(fraction, 0.0)
     for k in range(n):
         copy_into(w_before, truth.w_CI_C)
         truth_kernels.step(dss, field, memory, truth, on)

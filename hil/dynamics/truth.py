@@ -218,9 +218,15 @@ def _integrate(params, mass, gravity, y, load, sun_F, dt):
 
     mass: MASS_PROPERTIES. gravity: (3, 10) of ``cached_gravity.gravity_over_step``.
     """
-    n = _N
     if params.flexible_array != 0 and params.modes.n > 1:
-        n += 2 * (params.modes.n - 1)
+        _runge_kutta(params, mass, gravity, y, load, sun_F, dt, _N + 2 * (params.modes.n - 1))
+    else:
+        _runge_kutta(params, mass, gravity, y, load, sun_F, dt, _N)
+
+
+@kernel
+def _runge_kutta(params, mass, gravity, y, load, sun_F, dt, n):
+    """``_integrate`` the first ``n`` of ``y``; a constant makes the sums vector instructions."""
     k = stack.matrix(4, _STATES)
     trial = stack.vector(_STATES)
     scratch = stack.matrix(_SCRATCH, 3)

@@ -7,29 +7,35 @@ from typing import Final
 
 from hil.core.formulas import formula
 from hil.core.jit import kernel
-from hil.maths import elementary, stack
+from hil.maths import elementary
 
-_STEPS: Final = 8  # of Landen, each of which squares the modulus
+STEPS: Final = 8  # of Landen, each of which squares the modulus
 _CIRCULAR: Final = 1e-16  # a modulus for which the functions are those of a circle
 _DUPLICATED: Final = 2e-3  # the series is truncated at its sixth power
 
 
 @kernel
-def jacobi_into(u, m, out):
-    """Write sn, cn and dn of ``u`` for the parameter ``m``, 0 to below 1, into ``out`` (3,).
+def landen_moduli(m, moduli):
+    """Write the descending moduli for the parameter ``m``, 0 to below 1, into ``moduli`` (STEPS,); return their number.
 
     Descending Landen transformation (DLMF 22.7.2 to 22.7.4).
     """
-    moduli = stack.vector(8)
     n, complement = 0, math.sqrt(1.0 - m)
     modulus = math.sqrt(m)
-    while modulus > _CIRCULAR and n < _STEPS:
+    while modulus > _CIRCULAR and n < STEPS:
         larger = 1.0 + complement
         modulus = modulus * modulus / (larger * larger)  # (1 - k') / (1 + k'), without its cancellation
         moduli[n] = modulus
-        u /= 1.0 + modulus
         complement = 2.0 * math.sqrt(complement) / larger
         n += 1
+    return n
+
+
+@kernel
+def jacobi_into(u, moduli, n, out):
+    """Write sn, cn and dn of ``u`` into ``out`` (3,), from the first ``n`` of ``landen_moduli``."""
+    for k in range(n):
+        u /= 1.0 + moduli[k]
     sn, cn, dn = elementary.sin(u), elementary.cos(u), 1.0
     while n > 0:
         n -= 1

@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import stack
 from hil.maths.arrays import cross_into
-from hil.maths.elliptic import jacobi_into
+from hil.maths.elliptic import STEPS, jacobi_into
 
 TUMBLE = np.dtype(
     [
@@ -20,6 +20,8 @@ TUMBLE = np.dtype(
         ("frequency", "f8"),  # rad/s, of the functions' argument
         ("phase", "f8"),  # argument at the start of the run
         ("parameter", "f8"),  # m, the square of the modulus
+        ("moduli", "f8", STEPS),  # of it, ``landen_moduli``
+        ("steps", "i8"),  # their number
     ],
     align=True,
 )
@@ -29,7 +31,7 @@ TUMBLE = np.dtype(
 def tumble_rate(tumble, t_s, rate, rate_of_change):
     """Write the rate (3,), rad/s, and its rate of change (3,), rad/s^2, in the body's axes at ``t_s`` of the run."""
     f = stack.vector(3)
-    jacobi_into(tumble.phase + tumble.frequency * t_s, tumble.parameter, f)
+    jacobi_into(tumble.phase + tumble.frequency * t_s, tumble.moduli, tumble.steps, f)
     sn, cn, dn = f[0], f[1], f[2]
     ds, dc, dd = cn * dn, -sn * dn, -tumble.parameter * sn * cn
     for i in range(3):

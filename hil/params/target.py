@@ -18,7 +18,7 @@ from hil.dynamics.target_attitude import (
 )
 from hil.maths import elementary, euler, linear, quat
 from hil.maths.elementary import square
-from hil.maths.elliptic import first_kind
+from hil.maths.elliptic import first_kind, landen_moduli
 from hil.models import rotating_frame
 from hil.models.rotating_frame import euler_acceleration
 
@@ -92,7 +92,7 @@ def tumble(target: MovingTarget, rate: Array) -> np.record:
     # an odd order of the axes makes them left-handed
     second = third * math.copysign(1.0, i3 - i2) * (1.0 if (order[1] - order[0]) % 3 == 1 else -1.0)
     parameter = float(min(_SEPARATRIX, max(0.0, (i2 - i1) * low / ((i3 - i2) * high))))
-    params.parameter = parameter
+    params.parameter, params.steps = parameter, landen_moduli(parameter, params.moduli)
     params.frequency = math.sqrt((i3 - i2) * high / (i1 * i2 * i3))
     params.phase = first_kind(elementary.atan2(second * w2 * a1, w1 * a2), parameter)
     amplitude = np.zeros((3, 3))

@@ -86,7 +86,7 @@ def _congruence(f, p, n, rate):
             continue
         for i in range(6):
             new[i] = 0.0
-            for j in range(6):
+            for j in range(3 if i < 3 else 6):
                 new[i] += f[i, j] * p[row, j]
         for i in range(6):
             p[row, i] = new[i]

@@ -116,6 +116,8 @@ FILTERS = np.dtype(
         ("akf", AKF_STATE),
         ("pkf", PKF_STATE),
         ("parameters", "f8", LANES),  # estimates of the added states, from FILTER_ERRORS on
+        ("moments", "f8", 3),  # kg m^2, of a target that tumbles, of the logarithms that follow; 0: not computed yet
+        ("moments_of", "f8", 3),
         ("p", "f8", (ERRORS_MAX, LANES)),  # covariance of all errors, in both triangles
     ],
     align=True,

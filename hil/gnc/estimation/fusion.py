@@ -161,7 +161,7 @@ def _predict(params, state, step):
         expected_drift = stack.vector(3)
         copy_into(expected_drift, params.akf.initial_drift)
         if errors.target_rate != 0:
-            target_motion.move(params.orbit, errors, params.akf.dt_s, filters.parameters, step.hill)
+            target_motion.move(params.orbit, errors, params.akf.dt_s, filters, step.hill)
             copy_into(expected_drift, filters.akf.x[4:7])  # none of it is an error of the rate
         body_frame.correct_motion(step.hill, filters.akf, expected_drift, params.akf.dt_s, axes)
         body_frame.enter_middle(axes, filters, errors.n, errors.target_rate)

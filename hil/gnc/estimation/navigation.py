@@ -184,9 +184,11 @@ def normalised_errors(filters, orbit, truth, imu, out):
     from_akf, from_pkf = stack.vector(6), stack.vector(9)
     of_akf, of_pkf = stack.matrix(6, 6), stack.matrix(9, 9)
     rate_error, drift = stack.vector(3), stack.vector(3)
-    frame_rate(orbit, truth.t_s, rate_error)
-    for i in range(3):
-        rate_error[i] = truth.w_HI_H[i] - rate_error[i] if orbit.estimated == 0 else 0.0
+    fill(rate_error, 0.0)
+    if orbit.estimated == 0:
+        frame_rate(orbit, truth.t_s, rate_error)
+        for i in range(3):
+            rate_error[i] = truth.w_HI_H[i] - rate_error[i]
     quat.transform_into(truth.q_CH, rate_error, drift)
     for i in range(3):
         drift[i] += imu.drift_C[i]

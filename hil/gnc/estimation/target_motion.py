@@ -13,14 +13,17 @@ correct w, and, where the rotation is not about a principal axis, m, of which on
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.gnc.estimation.error_state import ROTATION, V
+from hil.gnc.estimation.error_state import LANES, ROTATION, V
 from hil.maths import elementary, quat, stack
-from hil.maths.arrays import copy_into, cross_into, fill_matrix
+from hil.maths.arrays import copy_into, cross_into, fill, fill_matrix
 from hil.models.rotating_frame import euler_acceleration, tumble_rate
+
+_WHOLE: Final = 12  # components of velocity, rotation and rate, in whole vector registers
 
 
 @kernel
@@ -34,11 +37,15 @@ def start(orbit, errors, t_s, parameters):
 
 
 @kernel
-def _estimated_moments(orbit, errors, parameters, moments):
+def _estimated_moments(orbit, errors, filters, moments):
+    """Write the principal moments; ``filters`` has those of logarithms that have not changed."""
     for i in range(3):
         moments[i] = orbit.moments[i]
         if errors.target_moments != 0:
-            moments[i] *= elementary.exp(parameters[errors.target_moments + i])
+            logarithm = filters.parameters[errors.target_moments + i]
+            if filters.moments[i] == 0.0 or logarithm != filters.moments_of[i]:
+                filters.moments[i], filters.moments_of[i] = moments[i] * elementary.exp(logarithm), logarithm
+            moments[i] = filters.moments[i]
 
 
 @kernel
@@ -61,7 +68,7 @@ def present_rate(params, state, t_s, rate, change):
         tumble_rate(params.orbit.tumble, t_s, rate, change)
         return
     moments = stack.vector(3)
-    _estimated_moments(params.orbit, errors, parameters, moments)
+    _estimated_moments(params.orbit, errors, state.filters, moments)
     copy_into(rate, parameters[errors.target_rate : errors.target_rate + 3])
     _rate_change(params.orbit, moments, rate, change)
 
@@ -79,13 +86,13 @@ def largest_sigma(params, state):
 
 
 @kernel
-def move(orbit, errors, dt, parameters, hill):
+def move(orbit, errors, dt, filters, hill):
     """Carry the estimated rate over a step of ``dt``, and write the motion of the axes over it into ``hill``.
 
     hill: HILL_STEP. Midpoint rule: its error is below 1e-10 rad/s in a step of 0.02 s at 5 deg/s.
     """
-    k, moments, change = errors.target_rate, stack.vector(3), stack.vector(3)
-    _estimated_moments(orbit, errors, parameters, moments)
+    k, parameters, moments, change = errors.target_rate, filters.parameters, stack.vector(3), stack.vector(3)
+    _estimated_moments(orbit, errors, filters, moments)
     copy_into(hill.rate_before, parameters[k : k + 3])
     _rate_change(orbit, moments, hill.rate_before, change)
     for i in range(3):
@@ -123,7 +130,7 @@ def _sensitivities(orbit, errors, dt, filters, out):
     moments, rate, a = stack.vector(3), stack.vector(3), stack.matrix(3, 3)
     r, v, wr = filters.pkf.x[0:3], filters.pkf.x[3:6], stack.vector(3)
     copy_into(rate, filters.parameters[errors.target_rate : errors.target_rate + 3])
-    _estimated_moments(orbit, errors, filters.parameters, moments)
+    _estimated_moments(orbit, errors, filters, moments)
     _euler_sensitivity(orbit, moments, rate, out[6:9])
     quat.to_matrix_into(filters.akf.x[0:4], a)
     cross_into(rate, r, wr)
@@ -155,21 +162,27 @@ def carry_errors(orbit, errors, dt, filters):
     f, p, n, k = stack.matrix(9, 6), filters.p, errors.n, errors.target_rate
     _sensitivities(orbit, errors, dt, filters, f)
     size = 3 if errors.target_moments == 0 else 6  # the moments follow the rate
-    for first, rows in ((0, V), (3, ROTATION), (6, k)):  # the rate, from which all gain, at last
+    of_all = stack.matrix(6, LANES)  # a copy, so that the products are vector instructions
+    for s in range(size):
+        copy_into(of_all[s, : errors.lanes], p[k + s, : errors.lanes])
+    for first, rows in ((0, V), (3, ROTATION), (6, k)):
         if size == 3:
-            _gain_by_rate(f[first : first + 3], p[k : k + 3], p[rows : rows + 3], errors.lanes)
+            _gain_by_rate(f[first : first + 3], of_all, p[rows : rows + 3], errors.lanes)
         else:
-            _gain_by_all(f[first : first + 3], p[k : k + 6], p[rows : rows + 3], errors.lanes)
-    gained = stack.vector(9)
+            _gain_by_all(f[first : first + 3], of_all, p[rows : rows + 3], errors.lanes)
+    gained, transposed = stack.vector(_WHOLE), stack.matrix(6, _WHOLE)
+    for s in range(6):
+        for i in range(_WHOLE):
+            transposed[s, i] = f[i, s] if i < 9 else 0.0
     for j in range(n):
         if V + 3 <= j < ROTATION or (j >= ROTATION + 3 and not k <= j < k + 3):
             for i in range(3):  # the mirror of a column
                 p[j, V + i], p[j, ROTATION + i], p[j, k + i] = p[V + i, j], p[ROTATION + i, j], p[k + i, j]
             continue
-        for i in range(9):
-            gained[i] = 0.0
-            for s in range(size):
-                gained[i] += f[i, s] * p[j, k + s]
+        fill(gained, 0.0)
+        for s in range(size):
+            for i in range(_WHOLE):
+                gained[i] += transposed[s, i] * p[j, k + s]
         for i in range(3):
             p[j, V + i] += gained[i]
             p[j, ROTATION + i] += gained[3 + i]

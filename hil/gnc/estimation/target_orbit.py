@@ -135,7 +135,9 @@ def move_hill_frame(orbit, start_s, dt, out):
     n = orbit.mean_motion
     out.rotates = out.swings = orbit.tumble.rotates
     if out.rotates != 0:
-        _tumble(orbit.tumble, start_s, dt, out)
+        out.turn, out.rate, out.is_elliptic = 0.0, 0.0, 0
+        if orbit.estimated == 0:  # otherwise the filters write it: ``target_motion.move``
+            _tumble(orbit.tumble, start_s, dt, out)
         return
     if orbit.ephemeris.n != 0:
         _follow_ephemeris(orbit, start_s, dt, out)
@@ -163,7 +165,6 @@ def _tumble(tumble, start_s, dt, out):
     tumble_rate(tumble, start_s + 0.5 * dt, out.rotation, aside)
     for i in range(3):
         out.rotation[i] *= dt
-    out.turn, out.rate, out.is_elliptic = 0.0, 0.0, 0
 
 
 @kernel

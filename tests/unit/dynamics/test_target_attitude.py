@@ -16,7 +16,7 @@ from hil.dynamics import truth as kernels
 from hil.dynamics.target_attitude import TARGET_ATTITUDE, limit_cycle, tumble
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import euler, quat
-from hil.maths.elliptic import jacobi_into
+from hil.maths.elliptic import STEPS, jacobi_into, landen_moduli
 from hil.models.rotating_frame import euler_acceleration, tumble_rate
 from hil.params import dynamics as dynamics_params
 from hil.params import target as target_params
@@ -75,12 +75,13 @@ def test_rotation_about_a_principal_axis_is_steady(rate: tuple[float, float, flo
 
 
 def test_elliptic_functions_satisfy_their_differential_equation() -> None:
-    value, after, before = np.empty(3), np.empty(3), np.empty(3)
+    value, after, before, moduli = np.empty(3), np.empty(3), np.empty(3), np.empty(STEPS)
     for m in (0.0, 0.3, 0.9, 0.999):
+        n = landen_moduli(m, moduli)
         for u in np.linspace(-9.0, 9.0, 19):
-            jacobi_into(u, m, value)
-            jacobi_into(u + 1e-5, m, after)
-            jacobi_into(u - 1e-5, m, before)
+            jacobi_into(u, moduli, n, value)
+            jacobi_into(u + 1e-5, moduli, n, after)
+            jacobi_into(u - 1e-5, moduli, n, before)
             sn, cn, dn = value
             np.testing.assert_allclose((after - before) / 2e-5, [cn * dn, -sn * dn, -m * sn * cn], atol=1e-9)
 

@@ -53,7 +53,7 @@ def carried(state: np.record, steps: int) -> np.ndarray:
 def test_estimated_rate_moves_as_the_closed_solution() -> None:
     state, hill, expected, aside = begun(np.zeros(3), np.zeros(3)), new(HILL_STEP), np.empty(3), np.empty(3)
     for _ in range(5000):
-        target_motion.move(PARAMS.orbit, PARAMS.errors, DT, state.filters.parameters, hill)
+        target_motion.move(PARAMS.orbit, PARAMS.errors, DT, state.filters, hill)
     tumble_rate(PARAMS.orbit.tumble, 5000 * DT, expected, aside)
     np.testing.assert_allclose(hill.rate_after, expected, atol=1e-7)
     found, change = np.empty(3), np.empty(3)
