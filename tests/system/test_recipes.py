@@ -29,7 +29,10 @@ set -e
 hil() { "$PYTHON" -m hil "$@"; }
 python() { "$PYTHON" "$@"; }
 pytest() { "$PYTHON" -m pytest -q -n 0 -p no:cacheprovider "$@"; }
-pip() { test "$1" = uninstall || "$PYTHON" -m pip install --quiet --no-deps --no-build-isolation --no-index --target "$SITE" "${@: -1}"; }
+pip() {
+  test "$1" = uninstall ||
+    "$PYTHON" -m pip install --quiet --no-deps --no-build-isolation --no-index --target "$SITE" "${@: -1}"
+}
 """
 
 
