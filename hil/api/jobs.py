@@ -215,11 +215,13 @@ def named_as_argument() -> Iterator[None]:
 
 
 def _as_argument(text: str) -> str:
+    """Return ``text`` with arguments in the place of options, but for one that has a command."""
+
     def name(option: re.Match[str]) -> str:
         argument = option[1].replace("-", "_")
         return _ARGUMENTS.get(argument, argument)
 
-    return re.sub(r"(?<!\S)--([a-z][a-z-]*)", name, text)
+    return text if re.search(r"\bhil [a-z]", text) else re.sub(r"(?<!\S)--([a-z][a-z-]*)", name, text)
 
 
 def settings_of(overrides: Overrides | Settings | None) -> tuple[str, ...]:

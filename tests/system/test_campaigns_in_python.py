@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,11 @@ def test_finished_campaign_is_opened_again_and_names_the_command_of_a_case_with_
     assert "gnc.control.deadband_m=0.02" in (tmp_path / "c" / "report.html").read_text()
     with pytest.raises(BadInput, match=r"given .*deadband_m=0.02.*asked for: given .*\[\]\}\), give a new folder"):
         hil.campaign("scheme-1", 3, tmp_path / "c", **SHORT)
+    manifest = tmp_path / "c" / "campaign.json"
+    for damaged in (3, {}, {"scenario": "scheme-1", "rig": "mock", "settings": [3]}):
+        manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"given": damaged}))
+        with pytest.raises(BadInput, match=r"hil.campaign with the same arguments returns its results"):
+            hil.open_campaign(tmp_path / "c")
     with pytest.raises(BadInput, match=r"is the folder of a campaign: hil.open_campaign opens it"):
         hil.open(tmp_path / "c")
 

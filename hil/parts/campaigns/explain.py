@@ -31,7 +31,7 @@ from hil.parts.campaigns.drivers import (
 )
 from hil.parts.campaigns.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 from hil.parts.campaigns.statistics import wilson
-from hil.parts.campaigns.store import GIVEN, MANIFEST, TABLE, parquet, read_table
+from hil.parts.campaigns.store import MANIFEST, TABLE, given_in, parquet, read_table
 from hil.report.limits import LIMITS, bound, relative_margin, sentence, shown, unit_of, words_of
 
 _START: Final = 1.0  # s, up to which a limit is broken by the start
@@ -280,8 +280,8 @@ def driver_text(cause: dict[str, Any]) -> str:
 
 def command_of(identity: Mapping[str, Any], folder: str, case: int) -> str:
     """Return the command that flies ``case`` of a campaign. identity: content of its MANIFEST."""
-    given = identity.get(GIVEN)
-    if not isinstance(given, dict):  # of an earlier version, or of Python objects, which a command cannot name
+    given = given_in(identity)
+    if not given:
         return f"hil run {identity['scenario']} --campaign {folder} --case {case}"
     settings = [text for setting in given["settings"] for text in ("--set", setting)]
     options = ["--rig", given["rig"], *settings, "--campaign", folder, "--case", str(case)]

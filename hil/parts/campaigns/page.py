@@ -16,7 +16,7 @@ from hil.errors import BadInput, one_line
 from hil.parts.campaigns.explain import Cases, command_of, dispersed_names, explain
 from hil.parts.campaigns.figure import dependence_figure, margins_figure, sweep_figure
 from hil.parts.campaigns.requirements_page import limit_text, result_text
-from hil.parts.campaigns.store import GIVEN, MANIFEST, atomic_write
+from hil.parts.campaigns.store import GIVEN, MANIFEST, atomic_write, given_in
 from hil.report import html
 from hil.report.figures import svg_address
 from hil.report.limits import LIMITS, shown, unit_of, words_of
@@ -91,7 +91,7 @@ def _campaign(cases: Cases) -> Iterator[str]:
         verdicts = [(r["id"], r["text"], limit_text(r), result_text(r), r["verdict"]) for r in summary["requirements"]]
         yield html.table(("id", "requirement", "limit", "result", "status"), verdicts, words=True)
     yield html.heading(2, "Set-up")
-    identity = {**cases.identity, **cases.identity.get(GIVEN, {})}
+    identity = {**cases.identity, **given_in(cases.identity)}
     rows = [(key.replace("_", " "), str(value)) for key, value in identity.items() if key != GIVEN]
     yield html.table(("", ""), rows, "Identity of the campaign", words=True)
     yield html.folded("summary", json.dumps({k: v for k, v in summary.items() if k != "why"}, indent=1))

@@ -56,6 +56,15 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> Any:
         return file.read(columns=columns, use_threads=False)
 
 
+def given_in(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return names and settings in ``manifest``, {} for those of Python objects, of an earlier version, or damaged."""
+    given = manifest.get(GIVEN)
+    if not isinstance(given, dict) or not isinstance(given.get("settings"), list):
+        return {}
+    names = (given.get("scenario"), given.get("rig"), *given["settings"])
+    return given if all(isinstance(name, str) for name in names) else {}
+
+
 class Store:
     """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 

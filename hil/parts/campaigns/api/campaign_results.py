@@ -23,7 +23,7 @@ from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.explain import Cases, case_of, command_of, explain
 from hil.parts.campaigns.sobol_indices import sobol_point
 from hil.parts.campaigns.statistics import compare as compare_columns
-from hil.parts.campaigns.store import GIVEN
+from hil.parts.campaigns.store import given_in
 from hil.parts.campaigns.stored_campaign import StoredCampaign
 from hil.session.assembly import Job
 from hil.session.warm_up import compile_kernels
@@ -184,8 +184,8 @@ def open_campaign(folder: str | Path, trust_code: bool = False) -> Campaign:
     ``hil.campaign`` with the same arguments.
     """
     cases, stored = Cases(Path(folder), "folder"), StoredCampaign(Path(folder))
-    given = cases.identity.get(GIVEN)
-    if not isinstance(given, dict) or not stored.is_sample:
+    given = given_in(cases.identity)
+    if not given or not stored.is_sample:
         text = f"{folder}: hil.campaign with the same arguments returns its results"
         raise BadInput.single("folder", "", text)
     names, settings = (given["scenario"], given["rig"]), tuple(given["settings"])
