@@ -143,7 +143,7 @@ def _append(path: Path, row: Iterable[str]) -> None:
 
 
 def _name(node_id: str) -> str:
-    return node_id.partition("[")[0]
+    return node_id.partition("[")[0].partition("@")[0]  # xdist appends the group
 
 
 def _shared(item: pytest.Item) -> list[str]:
