@@ -132,7 +132,8 @@ class ChildProcess:
 
     def _receive(self, timeout_s: float, if_silent: str, if_ended: str) -> Message:
         if self._stdout.closed:
-            raise LinkLost(self.name, f"{self.exit_status()} {if_ended}")
+            self.wait_end(_EXIT_WALL_S)
+            raise LinkLost(self.name, f"{self.exit_status() or 'is closed'} {if_ended}")
         try:
             line = self._lines.read(timeout_s)
         except TimeoutError:

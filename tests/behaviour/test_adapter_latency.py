@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +13,7 @@ import pytest
 from hil.config.rig import AxisGroupTable
 from hil.drivers.base import AxisGroup
 from hil.parts.emulation.lock_step import LockStepConductor
+from hil.parts.wires import devices
 from hil.parts.wires.devices import _exchange_rate, _promised_hz
 from tests.behaviour.test_rails_faults import bench_of
 from tests.support.turntable_bench import served, turntable
@@ -48,7 +49,7 @@ def undeclared(table: AxisGroupTable) -> AxisGroupTable:
 @pytest.mark.parametrize("kind", ["modbus_rtu", "cia402", "ascii", "acu"])
 def test_rate_of_a_line_with_an_adapter_is_measured_and_shown(kind: str, monkeypatch) -> None:
     with serial_device(kind) as (device, clock, table):
-        monkeypatch.setattr(time, "sleep", clock.sleep)
+        monkeypatch.setattr(devices, "time", SimpleNamespace(sleep=clock.sleep))  # not of other threads of this process
         declared_hz, other_hz = (_promised_hz(each, device.name) for each in (table, undeclared(table)))
         said, text = (_exchange_rate(device, clock, hz) for hz in (declared_hz, other_hz))
         sys.stdout.write(f"{kind}: {other_hz:.1f} Hz without adapter, {declared_hz:.1f} with it: {said}\n")
