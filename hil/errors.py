@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final
 
+INSTALLED: Final = "; an entry point that was added to a package is seen when pip has installed it again"
+"""End of a message about a driver, sensor or part that is not known."""
 _LONGEST_LINE: Final = 2000
 _EXTRAS: Final = {
     "cv2": "vision", "av": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console",
@@ -47,10 +49,6 @@ def missing_package(error: ModuleNotFoundError) -> str:
     """Return the text for a package that an extra installs, "" for any other module."""
     extra = _EXTRAS.get(error.name or "")
     return f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'" if extra else ""
-
-
-INSTALLED: Final = "; an entry point that was added to a package is seen when pip has installed it again"
-"""End of a message about a driver, sensor or part that is not known."""
 
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:

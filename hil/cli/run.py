@@ -130,9 +130,6 @@ def run_and_print(request: RunRequest, console: Console, json: str | None, expla
     json: file for its numbers, - for stdout. explain: with what each line means.
     """
     from hil.api.runs import run_job
-    from hil.report.results import RunResults
-    from hil.report.section import sections_of
-    from hil.report.table import render
 
     announce = partial(say, console=console, style="dim")
     if json is not None and json != "-" and (Path(json).is_file() or not Path(json).exists()):
@@ -146,9 +143,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None, expla
     if problem := summary.get("recording", {}).get("problem"):
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
-        render(RunResults.of(summary), completed.verdict, completed.scenario.requirements, Console(), explain)
-        for section in sections_of(summary):
-            print("\n".join(section.text()))  # noqa: T201
+        completed.show(explain)
     if summary["faults"]:
         print(f"safe stop: {completed.stop}", file=sys.stderr)  # noqa: T201
     if json is not None:

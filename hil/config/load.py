@@ -95,6 +95,10 @@ class Loaded(Generic[Model]):
         """Return the file or option that set ``key``."""
         return _where(key, self.origin, self.source)
 
+    def with_table(self, table: Table) -> Loaded[Model]:
+        """Return ``table`` in the place of the content, checked. Raises BadInput."""
+        return replace(check_table(table, type(self.value), self.source, dict(self.origin)), given=self.given)
+
     def problem(self, key: str, message: str) -> Problem:
         """Return a problem of ``key`` in the file or option that set it."""
         return Problem(self.where(key), key, message)
@@ -534,9 +538,8 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
     of_part = ""
     if parent is not None and issubclass(parent, FileTable):
         names = sorted([*names, *parent.added_tables()])
-        of_part = f"; or the table of a part that is not installed, see hil list parts{INSTALLED}" * isinstance(
-            value, dict
-        )
+        if isinstance(value, dict):
+            of_part = f"; or the table of a part that is not installed, see hil list parts{INSTALLED}"
     if meant := converted(key, value, names):
         return f"unknown key: did you mean {meant}?"
     stem = split(key)[0]

@@ -7,14 +7,13 @@ import importlib.util
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from importlib.machinery import ModuleSpec
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any, Final
 
 from hil.config.live_tunable import BACKEND_SETTINGS
-from hil.config.load import Loaded, check_table
+from hil.config.load import Loaded
 from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.gnc_records import MAX_IMU_SAMPLES
 from hil.core.own_code import import_error, module_of_file, require_trust
@@ -63,7 +62,7 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     value = value.model_copy(update={"gnc": value.gnc.model_copy(update=table)})
     _refuse_undeclared(value, scenario.where("console.adjustable"))
     table = value.model_dump(mode="json", exclude_none=True)
-    return replace(check_table(table, Scenario, scenario.source, dict(scenario.origin)), given=scenario.given)
+    return scenario.with_table(table)
 
 
 def declared_setting(scenario: Scenario, key: str) -> Setting:

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from hil.config.load import Loaded, check_table
+from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import SensorConfig
 from hil.core.own_code import import_error, module_of_file
@@ -99,9 +98,7 @@ def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
         problems.append(scenario.problem("sensors", text))
     if problems:
         raise BadInput(problems)
-    table = scenario.value.model_dump(mode="json", exclude_none=True)
-    with_all = check_table(table | {"sensors": tables}, Scenario, scenario.source, dict(scenario.origin))
-    return replace(with_all, given=scenario.given)
+    return scenario.with_table(scenario.value.model_dump(mode="json", exclude_none=True) | {"sensors": tables})
 
 
 def _refusal(scenario: Loaded[Scenario], key: str, config: SensorConfig, text: str) -> BadInput:
