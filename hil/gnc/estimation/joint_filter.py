@@ -33,7 +33,7 @@ def predict(params, filters, step):
     copy_into(middle, filters.akf.x[0:4])
     akf.predict_state(of_akf, filters.akf, step.rate_C, step.hill, phi)
     for i in range(4):
-        middle[i] += filters.akf.x[i]
+        middle[i] = 0.5 * (middle[i] + filters.akf.x[i])
     quat.normalise(middle)
     quat.to_matrix_into(middle, a)
     pkf.predict_state(of_pkf, filters.pkf, moved.force, a, step.hill)
