@@ -142,23 +142,27 @@ def innovate(errors, filters, first, rows, innovation):
                 cross[1, j] += h1 * value
                 cross[2, j] += h2 * value
     for i in range(3):
-        for m in range(FILTER_ERRORS, n):
-            innovation.value[i] -= h[i, m] * filters.parameters[m]
-        for j in range(i + 1):
-            total = innovation.noise[i, j]
-            for m in range(n):
-                total += h[i, m] * cross[j, m]
-            innovation.s[i, j] = innovation.s[j, i] = total
+        for j in range(3):
+            innovation.s[i, j] = innovation.noise[i, j]
+    for m in range(n):
+        if h[0, m] != 0.0 or h[1, m] != 0.0 or h[2, m] != 0.0:
+            for i in range(3):
+                if m >= FILTER_ERRORS:
+                    innovation.value[i] -= h[i, m] * filters.parameters[m]
+                for j in range(i + 1):
+                    innovation.s[i, j] += h[i, m] * cross[j, m]
+    for i in range(3):
+        for j in range(i):
+            innovation.s[j, i] = innovation.s[i, j]
     nis = 0.0 if invert_symmetric_3(innovation.s, innovation.s_inverse) else np.nan
     for k in range(3):
         i0, i1, i2 = innovation.s_inverse[0, k], innovation.s_inverse[1, k], innovation.s_inverse[2, k]
         for j in range(lanes):
             gain[k, j] = cross[0, j] * i0 + cross[1, j] * i1 + cross[2, j] * i2
+    for j in range(n):
+        if not (first <= j < first + rows or (j >= FILTER_ERRORS and errors.estimated[j] != 0)):
+            gain[0, j] = gain[1, j] = gain[2, j] = 0.0
     for k in range(3):
-        for j in range(n):
-            corrected = first <= j < first + rows or (j >= FILTER_ERRORS and errors.estimated[j] != 0)
-            if not corrected:
-                gain[k, j] = 0.0
         for j in range(lanes):
             innovation.cross[k, j], innovation.gain[k, j] = cross[k, j], gain[k, j]
     for i in range(3):
