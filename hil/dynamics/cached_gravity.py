@@ -60,11 +60,10 @@ def interpolate_perturbation(params, forces, field, t_s, r_T, v_T, rho, rho_rate
 def gravity_over_step(gm, harmonics, y, force_C, dt, gravity):
     """Write gravity at begin, middle and end of a step of ``dt``, s, into the rows of ``gravity`` (3, 10).
 
-    In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the vector from the chaser to the
-    body's centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the
-    accelerations of the start, within a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
-    ``interpolate_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
-    m/s^2, in c.
+    In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2; in mid-step also the vector from the
+    chaser to the body's centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under
+    the accelerations of the start, within a nanometre. gm: m^3/s^2. harmonics: (4, 3) of ``interpolate_perturbation``.
+    y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust, m/s^2, in c.
     """
     r, rho, thrust = stack.vector(3), stack.vector(3), stack.vector(3)
     quat.transform_back_into(y[6:10], force_C, thrust)
@@ -76,10 +75,12 @@ def gravity_over_step(gm, harmonics, y, force_C, dt, gravity):
             r[i] = y[21 + i] + t * y[24 + i] + fallen * gravity[0, i]
             rho[i] = y[i] + t * y[3 + i] + fallen * (gravity[0, 3 + i] + thrust[i])
         central_gravity.point_mass_differential(gm, r, rho, gravity[row, 0:3], gravity[row, 3:6])
-        squared = 0.0
         for i in range(3):
             gravity[row, i] += harmonics[row, i]
             gravity[row, 3 + i] += harmonics[3, i]
-            gravity[row, 6 + i] = -(r[i] + rho[i])
-            squared += gravity[row, 6 + i] * gravity[row, 6 + i]
-        gravity[row, 9] = gm / (squared * squared * math.sqrt(squared))
+        if row == 1:
+            squared = 0.0
+            for i in range(3):
+                gravity[1, 6 + i] = -(r[i] + rho[i])
+                squared += gravity[1, 6 + i] * gravity[1, 6 + i]
+            gravity[1, 9] = gm / (squared * squared * math.sqrt(squared))

@@ -7,8 +7,9 @@ the attitude during the step is that of c against F. H is the instantaneous fram
 position and velocity, or the body frame of a target that rotates against it; the relative state is transformed back
 into it at the end of each step.
 
-Thrust is constant over the step; everything else is integrated with the classical fourth-order
-Runge-Kutta method, gravity evaluated beforehand (docs/explanation/truth.md).
+Thrust, sunlight and the torque of the gravity gradient are constant over the step, the latter two those of mid-step;
+everything else is integrated with the classical fourth-order Runge-Kutta method, gravity evaluated beforehand
+(docs/explanation/truth.md).
 Effects are switched in the parameters; each has its file.
 """
 
@@ -111,25 +112,51 @@ _SCRATCH = 4  # scratch vectors of a derivative
 
 
 @kernel
-def _translate(params, gravity, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the vector to the body, of length d, into ``nadir_F``; return GM/(r^3 d^2).
-
-    gravity: (10,), a row of ``cached_gravity.gravity_over_step``.
-    """
+def _translate(params, gravity, y, dy):
+    """Write the free motion into ``dy``. gravity: (10,), a row of ``cached_gravity.gravity_over_step``."""
     for i in range(3):
         dy[i] = y[3 + i]
         dy[21 + i] = y[24 + i]
     if params.relative_motion == HILL:
         hill_acceleration(y[0:3], y[3:6], params.orbit_rate, dy[3:6])
-        nadir_F[0], nadir_F[1], nadir_F[2] = 0.0, 0.0, 1.0
         for i in range(6):
             dy[21 + i] = 0.0  # the target's circle is rotated exactly, once per step
-        return params.orbit_rate * params.orbit_rate
+        return
     for i in range(3):
         dy[24 + i] = gravity[i]
         dy[3 + i] = gravity[3 + i]
-        nadir_F[i] = gravity[6 + i]
-    return gravity[9]
+
+
+@kernel
+def _add_outer_load(params, inertia, gravity, sun_F, y, load):
+    """Add what sunlight and the gravity gradient give in mid-step to ``load``.
+
+    The attitude is as the rate at the start takes it there: the torques are good to the square of the angle turned in
+    half a step. gravity: as for ``_translate``, in mid-step. sun_F: (3,), unit vector. y: the state at the start.
+    """
+    q, out, transformed = stack.vector(4), stack.vector(3), stack.vector(3)
+    _rate_against_f(params, y, transformed)
+    quat.rate_of_change(y[6:10], transformed, q)
+    for i in range(4):
+        q[i] = y[6 + i] + 0.5 * params.dt_s * q[i]
+    quat.normalise(q)
+    if params.gravity_gradient != 0:
+        out[0], out[1], out[2] = 0.0, 0.0, 1.0
+        rate_squared = params.orbit_rate * params.orbit_rate
+        if params.relative_motion != HILL:
+            copy_into(out, gravity[6:9])
+            rate_squared = gravity[9]
+        quat.transform_into(q, out, transformed)
+        add_gravity_gradient(inertia, transformed, rate_squared, load[3:6])
+    if params.solar_pressure != 0:
+        quat.transform_into(q, sun_F, transformed)
+        pressure_force(params.plate, load[7], transformed, out)
+        arm = params.plate.arm
+        load[3] += arm[1] * out[2] - arm[2] * out[1]
+        load[4] += arm[2] * out[0] - arm[0] * out[2]
+        load[5] += arm[0] * out[1] - arm[1] * out[0]
+        for i in range(3):
+            load[i] += out[i] * load[6]
 
 
 @kernel
@@ -139,12 +166,22 @@ def _place_of_mode(mode):
 
 
 @kernel
-def _derivative(params, mass, gravity, y, load, sun_F, scratch, dy):
+def _rate_against_f(params, y, out):
+    """Write the rate of c against F (3,), rad/s, in c: ``w_CF = w_CI - A(q) w_FI`` (bench paper eq. (3))."""
+    copy_into(out, y[10:13])
+    if params.relative_motion == HILL:  # H rotates with [0, -w0, 0]
+        y_C = stack.vector(3)
+        quat.second_column_into(y[6:10], y_C)
+        for i in range(3):
+            out[i] += y_C[i] * params.orbit_rate
+
+
+@kernel
+def _derivative(params, mass, gravity, y, load, scratch, dy):
     """Write dy/dt.
 
-    mass: MASS_PROPERTIES. gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,),
-    N m, both in c, one over the mass, 1/kg, and the pressure of sunlight, Pa. sun_F: (3,), unit vector. scratch:
-    (_SCRATCH, 3).
+    mass: MASS_PROPERTIES. gravity: see ``_translate``. load: specific force (3,), m/s^2, and torque (3,), N m, of the
+    step, both in c, one over the mass, 1/kg, and the pressure of sunlight, Pa. scratch: (_SCRATCH, 3).
     """
     force, torque, direction, transformed = scratch[0], scratch[1], scratch[2], scratch[3]
     modes = params.modes
@@ -158,21 +195,8 @@ def _derivative(params, mass, gravity, y, load, sun_F, scratch, dy):
     for i in range(3):
         force[i], torque[i] = load[i], load[3 + i]
         dy[16 + i] = 0.0
-    rate_squared = _translate(params, gravity, y, dy, direction)
+    _translate(params, gravity, y, dy)
     q = y[6:10]
-    if params.gravity_gradient != 0:
-        quat.transform_into(q, direction, transformed)
-        add_gravity_gradient(inertia, transformed, rate_squared, torque)
-    if params.solar_pressure != 0:
-        quat.transform_into(q, sun_F, transformed)
-        pressure_force(params.plate, load[7], transformed, direction)
-        arm = params.plate.arm
-        torque[0] += arm[1] * direction[2] - arm[2] * direction[1]
-        torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
-        torque[2] += arm[0] * direction[1] - arm[1] * direction[0]
-        for i in range(3):
-            dy[16 + i] = direction[i] * load[6]
-            force[i] += dy[16 + i]
     dy[19], dy[20] = 0.0, 0.0
     if moves:
         for i in range(3):
@@ -203,29 +227,25 @@ def _derivative(params, mass, gravity, y, load, sun_F, scratch, dy):
     quat.transform_back_into(q, force, transformed)
     for i in range(3):
         dy[3 + i] += transformed[i]
-        dy[13 + i] = direction[i] = y[10 + i]
-    if params.relative_motion == HILL:
-        # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H rotates with [0, -w0, 0]
-        quat.second_column_into(q, transformed)
-        for i in range(3):
-            direction[i] += transformed[i] * params.orbit_rate
+        dy[13 + i] = y[10 + i]
+    _rate_against_f(params, y, direction)
     quat.rate_of_change(q, direction, dy[6:10])
 
 
 @kernel
-def _integrate(params, mass, gravity, y, load, sun_F, dt):
+def _integrate(params, mass, gravity, y, load, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place.
 
     mass: MASS_PROPERTIES. gravity: (3, 10) of ``cached_gravity.gravity_over_step``.
     """
     if params.flexible_array != 0 and params.modes.n > 1:
-        _runge_kutta(params, mass, gravity, y, load, sun_F, dt, _N + 2 * (params.modes.n - 1))
+        _runge_kutta(params, mass, gravity, y, load, dt, _N + 2 * (params.modes.n - 1))
     else:
-        _runge_kutta(params, mass, gravity, y, load, sun_F, dt, _N)
+        _runge_kutta(params, mass, gravity, y, load, dt, _N)
 
 
 @kernel
-def _runge_kutta(params, mass, gravity, y, load, sun_F, dt, n):
+def _runge_kutta(params, mass, gravity, y, load, dt, n):
     """``_integrate`` the first ``n`` of ``y``; a constant makes the sums vector instructions."""
     k = stack.matrix(4, _STATES)
     trial = stack.vector(_STATES)
@@ -236,7 +256,7 @@ def _runge_kutta(params, mass, gravity, y, load, sun_F, dt, n):
             part = dt if stage == 3 else 0.5 * dt
             for i in range(n):
                 trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, mass, gravity[(stage + 1) // 2], trial, load, sun_F, scratch, k[stage])
+        _derivative(params, mass, gravity[(stage + 1) // 2], trial, load, scratch, k[stage])
     for i in range(n):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
@@ -437,7 +457,10 @@ def step(params, field, memory, truth, on):
         if params.forces.acts != 0:
             quat.transform_into(y[6:10], memory.gravity.drag, drag)
         cached_gravity.gravity_over_step(params.gravity.gm, held, y, load, dt, gravity)
-    _integrate(params, memory.mass, gravity, y, load, sun_f, dt)
+    _add_outer_load(
+        params, memory.mass.inertia if params.mass.varies != 0 else params.inertia, gravity[1], sun_f, y, load
+    )
+    _integrate(params, memory.mass, gravity, y, load, dt)
     if radius > 0.0:
         _push_target(params, radius, fraction, memory.plume, truth, gravity, y)
     truth.t_s += dt

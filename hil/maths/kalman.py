@@ -84,6 +84,19 @@ def invert_symmetric_3(s, out):
 
 
 @kernel
+def inverse_root_3(s, out):
+    """Write the lower triangle W with ``W.T W`` the inverse of the symmetric ``s`` (3, 3), whose root is ``W^-1``."""
+    w00 = 1.0 / math.sqrt(s[0, 0])
+    a, b = s[1, 0] * w00, s[2, 0] * w00
+    w11 = 1.0 / math.sqrt(s[1, 1] - a * a)
+    c = (s[2, 1] - a * b) * w11
+    w22 = 1.0 / math.sqrt(s[2, 2] - b * b - c * c)
+    out[0, 0], out[0, 1], out[0, 2] = w00, 0.0, 0.0
+    out[1, 0], out[1, 1], out[1, 2] = -a * w00 * w11, w11, 0.0
+    out[2, 0], out[2, 1], out[2, 2] = (a * c * w11 - b) * w00 * w22, -c * w11 * w22, w22
+
+
+@kernel
 def normalised_square(error, p):
     """Return ``error.T p^-1 error`` for a positive definite ``p`` (n, n), by Cholesky; nan if it is not."""
     n = error.shape[0]

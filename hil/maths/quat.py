@@ -15,6 +15,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import elementary, stack
 
+_NEAR_UNIT: Final = 5e-6
 _SMALL_TURN: Final = 0.01
 """rad^2: below it sine, cosine and arc tangent of half the angle are a few terms of their series."""
 
@@ -56,7 +57,10 @@ def conjugate(q):
 @kernel
 def normalise(q):
     """Scale ``q`` to unit length in place."""
-    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    excess = square - 1.0
+    # the root's series is truncated below 1e-16
+    scale = 1.0 - excess * (0.5 - 0.375 * excess) if abs(excess) < _NEAR_UNIT else 1.0 / math.sqrt(square)
     for i in range(4):
         q[i] *= scale
 

@@ -15,7 +15,7 @@ from hil.maths import stack
 from hil.maths.limits import cut_to_range
 
 _LANES: Final = 6
-_ROWS: Final = 10
+_ROWS: Final = 7
 
 
 def servo_record(n: int) -> np.dtype:
@@ -53,26 +53,44 @@ def _substeps(tau, dt):
 
 
 @kernel
-def _goal(setpoint, feedforward, kp):
-    """Return the rate command at position zero."""
-    return feedforward + kp * setpoint
+def _demand(position, setpoint, feedforward, kp):
+    """Return the rate command of the position loop."""
+    return feedforward + kp * (setpoint - position)
 
 
 @kernel
-def _substep(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
-    """Return position and rate of one axis after a substep of ``h``, s; all arguments are numbers.
+def _is_free(position, rate, demand, kp, rate_max, low, high, dt):
+    """Return whether an axis comes neither to its largest rate nor to an end stop within ``dt``, s; False if unsure.
 
-    goal: see ``_goal``. share: fraction of the rate error corrected, h / tau. change_max: of the rate in a substep.
+    Below the largest rate the demand changes by at most ``kp rate_max dt``, and the rate stays between both.
     """
-    demand = min(rate_max, max(-rate_max, goal - kp * position))
-    rate += min(change_max, max(-change_max, (demand - rate) * share))
-    position += rate * h
-    if position < low:
-        position = low
-        rate = 0.0
-    elif position > high:
-        position = high
-        rate = 0.0
+    reach = rate_max * dt
+    return max(abs(demand), abs(rate)) <= rate_max - kp * reach and low + reach <= position <= high - reach
+
+
+@kernel
+def _free_substep(error, rate, share, gain, change_max):
+    """Return demand minus rate, and rate, of a free axis after a substep.
+
+    share: fraction of the error corrected, h / tau. gain: kp h. change_max: of the rate in a substep.
+    """
+    change = min(change_max, max(-change_max, error * share))
+    return error - gain * rate - (1.0 + gain) * change, rate + change
+
+
+@kernel
+def _limited_step(position, rate, goal, kp, share, rate_max, change_max, low, high, h, n):
+    """Return position and rate of an axis after ``n`` substeps of ``h``, s, at its limits. goal: demand at zero."""
+    for _ in range(n):
+        demand = min(rate_max, max(-rate_max, goal - kp * position))
+        rate += min(change_max, max(-change_max, (demand - rate) * share))
+        position += rate * h
+        if position < low:
+            position = low
+            rate = 0.0
+        elif position > high:
+            position = high
+            rate = 0.0
     return position, rate
 
 
@@ -82,24 +100,23 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
 
     position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: commanded position and
     its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, at which the
-    axis stops. The step is divided into substeps well below the lag. Adjacent axes of the same lag are computed
-    together: their substeps are independent, which the processor can use.
+    axis stops. The step is divided into substeps well below the lag.
     """
-    first = 0
-    while first < position.shape[0]:
-        end = first + 1
-        while end < position.shape[0] and tau[end] == tau[first]:
-            end += 1
-        n = _substeps(tau[first], dt)
+    for i in range(position.shape[0]):
+        n = _substeps(tau[i], dt)
         h = dt / n
-        share = h / tau[first]
-        for _ in range(n):
-            for i in range(first, end):
-                position[i], rate[i] = _substep(
-                    position[i], rate[i], _goal(setpoint[i], feedforward[i], kp[i]), kp[i], share,
-                    rate_max[i], acceleration_max[i] * h, low[i], high[i], h,
-                )  # fmt: skip
-        first = end
+        share, change_max, gain = h / tau[i], acceleration_max[i] * h, kp[i] * h
+        demand = _demand(position[i], setpoint[i], feedforward[i], kp[i])
+        if _is_free(position[i], rate[i], demand, kp[i], rate_max[i], low[i], high[i], dt):
+            error = demand - rate[i]
+            for _ in range(n):
+                error, rate[i] = _free_substep(error, rate[i], share, gain, change_max)
+                position[i] += rate[i] * h
+        else:
+            position[i], rate[i] = _limited_step(
+                position[i], rate[i], feedforward[i] + kp[i] * setpoint[i], kp[i], share, rate_max[i], change_max,
+                low[i], high[i], h, n,
+            )  # fmt: skip
 
 
 @kernel
@@ -135,7 +152,7 @@ def send_to_servo(axes, position, rate, now_s, accepted):
 
 @kernel
 def servo_step_of_two(one, other, dt):
-    """``servo_step`` of two devices of three axes each, bit-identical: computed together for speed.
+    """``servo_step`` of two devices of three axes each, bit-identical: free axes are computed together for speed.
 
     one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have the same lag.
     """
@@ -148,23 +165,38 @@ def servo_step_of_two(one, other, dt):
     if n_one != n_other:
         done = 0 if n_one == both else 3
         for i in range(done, done + 3):  # substeps of zero duration
-            lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
+            lanes[3, i] = lanes[4, i] = lanes[6, i] = 0.0
         _run_substeps(lanes, max(n_one, n_other) - both)
-    for i in range(3):
-        one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
-        other.position[i], other.rate[i] = lanes[0, 3 + i], lanes[1, 3 + i]
+    _take(one, dt, n_one, 0, lanes)
+    _take(other, dt, n_other, 3, lanes)
 
 
 @kernel
 def _lay_out(axes, h, first, lanes):
-    """Write the arguments of ``_substep`` of three axes to columns of ``lanes`` from ``first`` on."""
+    """Write position, rate and the arguments of ``_free_substep`` of three axes to columns from ``first`` on."""
     share = h / axes.tau[0]
     for i in range(3):
         j = first + i
         lanes[0, j], lanes[1, j] = axes.position[i], axes.rate[i]
-        lanes[2, j], lanes[3, j] = _goal(axes.setpoint[i], axes.feedforward[i], axes.kp[i]), axes.kp[i]
-        lanes[4, j], lanes[5, j], lanes[6, j] = share, axes.rate_max[i], axes.acceleration_max[i] * h
-        lanes[7, j], lanes[8, j], lanes[9, j] = axes.low[i], axes.high[i], h
+        lanes[2, j] = _demand(axes.position[i], axes.setpoint[i], axes.feedforward[i], axes.kp[i]) - axes.rate[i]
+        lanes[3, j], lanes[4, j], lanes[5, j], lanes[6, j] = share, axes.kp[i] * h, axes.acceleration_max[i] * h, h
+
+
+@kernel
+def _take(axes, dt, n, first, lanes):
+    """Take what ``_run_substeps`` has computed of free axes; move the others by themselves."""
+    for i in range(3):
+        demand = _demand(axes.position[i], axes.setpoint[i], axes.feedforward[i], axes.kp[i])
+        if _is_free(
+            axes.position[i], axes.rate[i], demand, axes.kp[i], axes.rate_max[i], axes.low[i], axes.high[i], dt
+        ):
+            axes.position[i], axes.rate[i] = lanes[0, first + i], lanes[1, first + i]
+        else:
+            h = dt / n
+            axes.position[i], axes.rate[i] = _limited_step(
+                axes.position[i], axes.rate[i], axes.feedforward[i] + axes.kp[i] * axes.setpoint[i], axes.kp[i],
+                h / axes.tau[i], axes.rate_max[i], axes.acceleration_max[i] * h, axes.low[i], axes.high[i], h, n,
+            )  # fmt: skip
 
 
 @kernel
@@ -172,7 +204,5 @@ def _run_substeps(lanes, n):
     """Advance all lanes by ``n`` substeps."""
     for _ in range(n):
         for i in range(_LANES):
-            lanes[0, i], lanes[1, i] = _substep(
-                lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i],
-                lanes[5, i], lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i],
-            )  # fmt: skip
+            lanes[2, i], lanes[1, i] = _free_substep(lanes[2, i], lanes[1, i], lanes[3, i], lanes[4, i], lanes[5, i])
+            lanes[0, i] += lanes[1, i] * lanes[6, i]

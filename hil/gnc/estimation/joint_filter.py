@@ -1,8 +1,8 @@
 """One prediction and one update of the covariance of all errors of the navigation.
 
 The covariance is symmetric and held in both triangles, so that a product with it runs along rows. Gains are optimal in
-the rows that an update corrects and zero in the others, so that the covariance after it is that of any gain,
-``P - K G.T - G K.T + K S K.T`` with ``G = P H.T`` (Schmidt 1966; Bryson and Johansen 1965).
+the rows that an update corrects and zero in the others: the covariance of any gain, ``P - K G.T - G K.T + K S K.T``
+with ``G = P H.T`` (Schmidt 1966; Bryson and Johansen 1965), is ``P - G S^-1 G.T`` but for the others among themselves.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hil.gnc.estimation.error_motion import add_part, carry_filters, decay
 from hil.gnc.estimation.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
-from hil.maths.kalman import invert_symmetric_3
+from hil.maths.kalman import inverse_root_3, invert_symmetric_3
 
 
 @kernel
@@ -33,7 +33,7 @@ def predict(params, filters, step):
     copy_into(middle, filters.akf.x[0:4])
     akf.predict_state(of_akf, filters.akf, step.rate_C, step.hill, phi)
     for i in range(4):
-        middle[i] += filters.akf.x[i]
+        middle[i] = 0.5 * (middle[i] + filters.akf.x[i])
     quat.normalise(middle)
     quat.to_matrix_into(middle, a)
     pkf.predict_state(of_pkf, filters.pkf, moved.force, a, step.hill)
@@ -142,23 +142,27 @@ def innovate(errors, filters, first, rows, innovation):
                 cross[1, j] += h1 * value
                 cross[2, j] += h2 * value
     for i in range(3):
-        for m in range(FILTER_ERRORS, n):
-            innovation.value[i] -= h[i, m] * filters.parameters[m]
-        for j in range(i + 1):
-            total = innovation.noise[i, j]
-            for m in range(n):
-                total += h[i, m] * cross[j, m]
-            innovation.s[i, j] = innovation.s[j, i] = total
+        for j in range(3):
+            innovation.s[i, j] = innovation.noise[i, j]
+    for m in range(n):
+        if h[0, m] != 0.0 or h[1, m] != 0.0 or h[2, m] != 0.0:
+            for i in range(3):
+                if m >= FILTER_ERRORS:
+                    innovation.value[i] -= h[i, m] * filters.parameters[m]
+                for j in range(i + 1):
+                    innovation.s[i, j] += h[i, m] * cross[j, m]
+    for i in range(3):
+        for j in range(i):
+            innovation.s[j, i] = innovation.s[i, j]
     nis = 0.0 if invert_symmetric_3(innovation.s, innovation.s_inverse) else np.nan
     for k in range(3):
         i0, i1, i2 = innovation.s_inverse[0, k], innovation.s_inverse[1, k], innovation.s_inverse[2, k]
         for j in range(lanes):
             gain[k, j] = cross[0, j] * i0 + cross[1, j] * i1 + cross[2, j] * i2
+    for j in range(n):
+        if not (first <= j < first + rows or (j >= FILTER_ERRORS and errors.estimated[j] != 0)):
+            gain[0, j] = gain[1, j] = gain[2, j] = 0.0
     for k in range(3):
-        for j in range(n):
-            corrected = first <= j < first + rows or (j >= FILTER_ERRORS and errors.estimated[j] != 0)
-            if not corrected:
-                gain[k, j] = 0.0
         for j in range(lanes):
             innovation.cross[k, j], innovation.gain[k, j] = cross[k, j], gain[k, j]
     for i in range(3):
@@ -170,26 +174,27 @@ def innovate(errors, filters, first, rows, innovation):
 @kernel
 def update(errors, filters, innovation):
     """Fuse an accepted innovation (INNOVATION, of ``innovate``): correct all estimates and the covariance."""
-    n, lanes, s = errors.n, errors.lanes, innovation.s
-    gain, u, correction = stack.matrix(3, LANES), stack.matrix(3, LANES), stack.vector(LANES)
-    # P - K G.T - G K.T + K S K.T = P - K U.T - U K.T with U = G - K S / 2
+    n, lanes, w = errors.n, errors.lanes, stack.matrix(3, 3)
+    part, of_corrected, correction = stack.matrix(3, LANES), stack.matrix(3, LANES), stack.vector(LANES)
+    # in rows or columns that are corrected, K S K.T = G S^-1 G.T = (W G).T (W G), the same for (i, j) and (j, i)
+    inverse_root_3(innovation.s, w)
     for j in range(lanes):
         k0, k1, k2 = innovation.gain[0, j], innovation.gain[1, j], innovation.gain[2, j]
-        gain[0, j], gain[1, j], gain[2, j] = k0, k1, k2
+        g0, g1, g2 = innovation.cross[0, j], innovation.cross[1, j], innovation.cross[2, j]
         correction[j] = k0 * innovation.value[0] + k1 * innovation.value[1] + k2 * innovation.value[2]
-        u[0, j] = innovation.cross[0, j] - 0.5 * (k0 * s[0, 0] + k1 * s[1, 0] + k2 * s[2, 0])
-        u[1, j] = innovation.cross[1, j] - 0.5 * (k0 * s[0, 1] + k1 * s[1, 1] + k2 * s[2, 1])
-        u[2, j] = innovation.cross[2, j] - 0.5 * (k0 * s[0, 2] + k1 * s[1, 2] + k2 * s[2, 2])
+        corrected = 1.0 if k0 != 0.0 or k1 != 0.0 or k2 != 0.0 else 0.0
+        part[0, j], part[1, j] = w[0, 0] * g0, w[1, 0] * g0 + w[1, 1] * g1
+        part[2, j] = w[2, 0] * g0 + w[2, 1] * g1 + w[2, 2] * g2
+        for i in range(3):
+            of_corrected[i, j] = corrected * part[i, j]
     for i in range(n):
-        k0, k1, k2, u0, u1, u2 = gain[0, i], gain[1, i], gain[2, i], u[0, i], u[1, i], u[2, i]
-        if k0 == 0.0 and k1 == 0.0 and k2 == 0.0:
+        p0, p1, p2 = part[0, i], part[1, i], part[2, i]
+        if innovation.gain[0, i] == 0.0 and innovation.gain[1, i] == 0.0 and innovation.gain[2, i] == 0.0:
             for j in range(lanes):
-                filters.p[i, j] -= u0 * gain[0, j] + u1 * gain[1, j] + u2 * gain[2, j]
+                filters.p[i, j] -= p0 * of_corrected[0, j] + p1 * of_corrected[1, j] + p2 * of_corrected[2, j]
         else:
             for j in range(lanes):
-                # in pairs, which are the same for (j, i): the covariance stays symmetric to the last bit
-                first, second = k0 * u[0, j] + u0 * gain[0, j], k1 * u[1, j] + u1 * gain[1, j]
-                filters.p[i, j] -= first + second + (k2 * u[2, j] + u2 * gain[2, j])
+                filters.p[i, j] -= p0 * part[0, j] + p1 * part[1, j] + p2 * part[2, j]
     akf.correct(filters.akf, correction[ROTATION:FILTER_ERRORS])
     for i in range(9):
         filters.pkf.x[i] += correction[i]

@@ -24,9 +24,11 @@ def test_covariance_propagates_as_phi_p_phi_t_plus_noise(rng: np.random.Generato
 
 def test_inverse_of_three_by_three_agrees_with_numpy(rng: np.random.Generator) -> None:
     for _ in range(20):
-        s, inverse = positive_definite(rng, 3), np.empty((3, 3))
+        s, inverse, root = positive_definite(rng, 3), np.empty((3, 3)), np.empty((3, 3))
         kalman.invert_symmetric_3(s, inverse)
+        kalman.inverse_root_3(s, root)
         np.testing.assert_allclose(inverse, np.linalg.inv(s), rtol=1e-10, atol=1e-11)
+        np.testing.assert_allclose(root.T @ root, inverse, rtol=1e-10, atol=1e-11)
 
 
 def test_normalised_square_agrees_with_solve(rng: np.random.Generator) -> None:

@@ -89,6 +89,13 @@ def test_normalise_restores_unit_length_and_keeps_the_direction() -> None:
     np.testing.assert_allclose(q, kept, atol=1e-15)
 
 
+@pytest.mark.parametrize("excess", [4e-6, 2e-6, 1e-9, -2e-6, -4e-6])
+def test_normalise_is_exact_on_both_sides_of_its_series(excess: float) -> None:
+    for q in unit_quaternions(20, 13) * (1.0 + excess):
+        quat.normalise(q)
+        assert np.linalg.norm(q) == pytest.approx(1.0, abs=3e-16)
+
+
 def test_rate_of_change_is_that_of_a_frame_turning_at_the_body_rate() -> None:
     rates = np.random.default_rng(10).standard_normal((30, 3))
     step = 1e-5

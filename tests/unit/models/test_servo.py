@@ -55,6 +55,15 @@ def test_feedforward_takes_the_lag_out_of_a_ramp() -> None:
     assert ramp - late.position[0] == pytest.approx(0.1 / KP, abs=0.1 * 0.02)
 
 
+def test_an_axis_that_may_come_to_a_limit_but_does_not_moves_like_a_free_one(rng: np.random.Generator) -> None:
+    free, watched = Axis(acceleration_max=0.6), Axis(acceleration_max=0.6, travel=1e4)
+    for setpoint, feedforward in rng.uniform(-5e-4, 5e-4, (100, 2)):
+        for axis in free, watched:
+            axis.step(setpoint, feedforward)
+        np.testing.assert_allclose(watched.position, free.position, rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(watched.rate, free.rate, rtol=0.0, atol=1e-13)
+
+
 @given(st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-2.0, 2.0)), min_size=1, max_size=40))
 def test_speed_acceleration_and_travel_keep_their_limits(commands: list[tuple[float, float]]) -> None:
     axis = Axis(rate_max=0.5, acceleration_max=0.6, travel=1e9)
