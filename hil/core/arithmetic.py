@@ -8,8 +8,11 @@ from typing import Final
 
 from hil.core.program_digest import PACKAGES
 
-FORMULAS: Final = 2
-"""Version of the functions and orders of sums that determine a run; 1: the C library, BLAS and LAPACK."""
+FORMULAS: Final = 3
+"""Version of the functions and orders of sums that determine a run.
+
+1: the C library, BLAS and LAPACK; 2: fixed ones; 3: others in the truth's step, servo and update of the covariance.
+"""
 _KEY: Final = "formulas"
 
 
