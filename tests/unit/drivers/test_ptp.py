@@ -113,6 +113,8 @@ def test_a_daemon_that_does_not_answer_is_named(tmp_path: Path) -> None:
 def test_a_port_without_master_is_not_synchronised_and_a_master_is() -> None:
     assert PtpStatus("listening", 0.0, 0.0, "").problem(1.0) == "listening, no master"
     assert PtpStatus("master", 0.0, 0.0, "").problem(1e-9) == ""
+    assert [str(PtpStatus(state, 2e-6, 0.0, "")) for state in ("listening", "master")] == ["listening", "master"]
+    assert str(PtpStatus("slave", 2e-6, 0.0, "ee05")) == "slave of ee05, offset 2 us"
 
 
 @pytest.mark.parametrize("setting", ["ptp_max_offset_us=0", "ptp_max_offset_us=-1.0", "ptp_domain=200", "ptp=1"])
