@@ -18,7 +18,7 @@ from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.control import held_error, rule_of
 from hil.gnc.estimation.integrity import USUAL_SUM, go_sum
-from hil.gnc.estimation.missed_fault import largest_missed
+from hil.gnc.estimation.sensor_monitor import largest_missed
 from hil.maths import linear
 from hil.maths.elementary import square
 from hil.params.gnc import allocation, control, integrity

@@ -20,8 +20,7 @@ from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_axes import TargetAxes
-from hil.safety.guard_alarms import breach_alarm
-from hil.safety.jog_guard import JogGuard
+from hil.safety.motion_guards import JogGuard, breach_alarm
 
 
 class HeldAxes(TargetAxes):

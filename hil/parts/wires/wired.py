@@ -17,8 +17,8 @@ from hil.core.clock import BenchClock, WallClock
 from hil.core.fork_server import ForkServer
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
+from hil.core.plug_ins import place_in
 from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
-from hil.core.stacks import place_in
 from hil.drivers.imu.driver import WiredImu
 from hil.drivers.remote.io_layout import IO
 from hil.drivers.remote.processes import IoProcesses

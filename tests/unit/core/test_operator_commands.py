@@ -8,8 +8,7 @@ from itertools import product
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, TerminalOperator
-from hil.core.typed_answers import ANSWER_S, FreshDigits
+from hil.core.operator_commands import ANSWER_S, FreshDigits, JogRequest, Operator, OperatorCommand, TerminalOperator
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
