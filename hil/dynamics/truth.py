@@ -21,16 +21,18 @@ from hil.core.messages import MAX_MODES, MAX_THRUSTERS
 from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.central_gravity import GRAVITY_PARAMS
-from hil.dynamics.flexible_array import (
+from hil.dynamics.hill import hill_acceleration
+from hil.dynamics.mass_properties import (
     BENDING,
+    MASS_MODEL,
+    MASS_PROPERTIES,
     MODES,
     add_bending,
     add_bending_force,
     bending,
     bending_of_translation,
+    set_mass_properties,
 )
-from hil.dynamics.hill import hill_acceleration
-from hil.dynamics.mass_properties import MASS_MODEL, MASS_PROPERTIES, set_mass_properties
 from hil.dynamics.orbit_forces import ORBIT_FORCES
 from hil.dynamics.rigid_body import add_gravity_gradient, add_lever_terms, angular_acceleration, shift
 from hil.dynamics.sunlight import PLATE_PARAMS, pressure_force, visible_sun

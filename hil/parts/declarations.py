@@ -166,7 +166,7 @@ WIRES: Final = Part(
         "rig.turntable.driver=cia402: description": "hil.drivers.turntable.cia402.describe:describe",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
-    check_rig="hil.parts.wires.clock:check_clock",
+    check_rig="hil.parts.wires.devices:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
         "hil.drivers.arm.device", "hil.drivers.arm.entry",

@@ -29,9 +29,8 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import LockStepRate, Rate, WallClockRate
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
-from hil.parts.wires.datagram_sensors import open_datagrams
-from hil.parts.wires.line_sensors import line_sensors
 from hil.parts.wires.meters import ClockWatch, ExchangeRates
+from hil.parts.wires.sensors import line_sensors, open_datagrams
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.session.assembly import Devices, Job, assemble
 

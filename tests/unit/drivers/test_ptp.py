@@ -13,8 +13,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, data_of, read_status, request
 from hil.errors import BadInput, LinkLost, LinkTimeout
-from hil.parts.wires.clock import check_clock
-from hil.parts.wires.devices import ptp_check
+from hil.parts.wires.devices import check_clock, ptp_check
 
 TRANSCRIPT = bytes.fromhex(  # response of ptp4l 3.1.1 to GET TIME_STATUS_NP: offset -45 ns, with a master
     "0d020068000000000000000000000000000000004a6fc0fffe3224cb0000000004" "7f" "68696c62656e636800010000" "0200"
