@@ -268,7 +268,6 @@ class ThreadedImageSink:
         self._thread: threading.Thread | None = None
 
     def due(self, exposed_s: float) -> bool:
-        """Return whether images exposed at ``exposed_s`` are selected; to be called once per exposure."""
         return self._encoder.due(exposed_s)
 
     def put(self, *images: CameraImage) -> None:

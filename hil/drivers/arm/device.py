@@ -150,7 +150,6 @@ class ArmExchange:
         self._ending = True
 
     def close(self) -> None:
-        """Close the link. Idempotent."""
         self._link.close()
 
     def counters(self) -> dict[str, int]:

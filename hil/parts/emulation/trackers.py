@@ -228,7 +228,6 @@ class TrackerEmulator:
         return {NAME: self._server.address}
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
         rate_hz, number = self._config.rate_hz, 0
         while not stop.is_set():
             number = max(number + 1, int(np.ceil(self._clock.now_s() * rate_hz - _CATCHES_UP)))
