@@ -13,8 +13,7 @@ from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import HeldAtPlace, RotaryManipulator, TargetManipulator
 from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
-from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import AXES, Array, Homing, new
+from hil.core.messages import AXES, HELD_SAMPLE, MANIPULATOR_SAMPLE, Array, Homing, new
 from hil.drivers.base import AxisGroup
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage

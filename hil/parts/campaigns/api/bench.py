@@ -22,8 +22,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
 from hil.core.fields import record_dtype
-from hil.core.manipulator_records import GIMBALS_FIELDS
-from hil.core.messages import new
+from hil.core.messages import GIMBALS_FIELDS, new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.core.plug_ins import raised_text
