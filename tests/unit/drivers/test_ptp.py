@@ -14,6 +14,8 @@ from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, data_of, read_status, request
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.parts.wires.devices import check_clock, ptp_check
+from hil.parts.wires.meters import ClockWatch
+from hil.report.table import _clocks_text
 
 TRANSCRIPT = bytes.fromhex(  # response of ptp4l 3.1.1 to GET TIME_STATUS_NP: offset -45 ns, with a master
     "0d020068000000000000000000000000000000004a6fc0fffe3224cb0000000004" "7f" "68696c62656e636800010000" "0200"
@@ -82,6 +84,9 @@ def test_state_offset_and_delay_are_read_from_the_socket(daemon: Daemon) -> None
     assert (found.state, found.grandmaster) == ("slave", "ee0590fffe2e5fbf")
     assert found.offset_s == pytest.approx(1.5e-6)
     assert found.path_delay_s == pytest.approx(2.148e-6)
+    clocks = ClockWatch(load_rig("emulated", limited(daemon.path, 2.0)).value.clock).numbers()
+    assert clocks["ptp"]["begin"] == clocks["ptp"]["end"] == found.as_json()
+    assert "PTP slave, offset 1.5 and 1.5 us at begin and end; system time" in _clocks_text(clocks, {})
 
 
 def test_a_run_is_refused_beyond_the_limit_and_accepted_within_it(daemon: Daemon) -> None:
