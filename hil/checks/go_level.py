@@ -92,7 +92,7 @@ def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
     needs, thrusters = scenario.requirements, scenario.chaser.thrusters
     sets, strength = allocation(scenario.chaser)
     params = control(scenario, strength)
-    levels, sigma_m, sigma_mps = _levels(scenario, rig)
+    levels, sigma_m, sigma_mps = least_levels(scenario, rig)
     axes = []
     for k in np.flatnonzero(params.held == 0).tolist():
         i, is_turn = k % 3, k >= 3
@@ -128,13 +128,10 @@ def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
     return axes
 
 
-def least_levels(scenario: Scenario, rig: Rig) -> Array:
-    """Return the least levels of a go at the ready point, m, along the docking axis and across it, (3,)."""
-    return _levels(scenario, rig)[0]
+def least_levels(scenario: Scenario, rig: Rig) -> tuple[Array, Array, float]:
+    """Return the least levels of a go at the ready point, m, along the docking axis and across it, (3,), and sigmas.
 
-
-def _levels(scenario: Scenario, rig: Rig) -> tuple[Array, Array, float]:
-    """Return the least levels of a go, m, (3,), and standard deviations of position, m, (3,), and velocity, m/s.
+    These are standard deviations of position, m, (3,), and velocity, m/s.
 
     Levels are 0 for another navigation than the built-in one with poses and IMU alone.
     """

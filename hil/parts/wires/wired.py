@@ -144,9 +144,9 @@ class WiredBench:
         for process in self._all_processes.values():
             process.log_traceback()
 
-    def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
+    def axes_runner(self) -> Runner:
         """Return a Runner without recording, which only moves the axes."""
-        parts = SessionParts(operator, on_progress)
+        parts = SessionParts()
         self.connect(parts)
         return self._assembled(parts, self._rate())
 
