@@ -69,7 +69,7 @@ class BenchGeometry(ConfigModel):
     """Rails from the floor up: the first carries the others."""
     geometry_file: str | None = None
     """Measured geometry, of `hil geometry fit`: compensated in all motion; unless set, the bench counts as ideal."""
-    errors: MachineErrors = MachineErrors()
+    errors: MachineErrors = MachineErrors.model_construct()
     """How mock and emulated rigs are built wrong."""
     tolerance_m: NotNegative = 1e-3
     """Standard deviation of each parameter of the geometry that was not measured."""
@@ -259,17 +259,17 @@ class ModbusAxis(ConfigModel):
 class Modbus(ConfigModel):
     """Three drives on Modbus TCP."""
 
-    x: ModbusAxis = ModbusAxis()
-    y: ModbusAxis = ModbusAxis()
-    z: ModbusAxis = ModbusAxis()
+    x: ModbusAxis = ModbusAxis.model_construct()
+    y: ModbusAxis = ModbusAxis.model_construct()
+    z: ModbusAxis = ModbusAxis.model_construct()
 
 
 class FurtherModbus(Modbus):
     """Drives of further axes on Modbus TCP."""
 
-    u: ModbusAxis = ModbusAxis()
-    v: ModbusAxis = ModbusAxis()
-    w: ModbusAxis = ModbusAxis()
+    u: ModbusAxis = ModbusAxis.model_construct()
+    v: ModbusAxis = ModbusAxis.model_construct()
+    w: ModbusAxis = ModbusAxis.model_construct()
 
 
 class Cia402(CanBus):
@@ -304,7 +304,7 @@ class Cia402(CanBus):
     """Oldest accepted object 0x1018:3."""
     firmware: str | None = None
     """Expected object 0x100A."""
-    emulated: DriveHabits = DriveHabits()
+    emulated: DriveHabits = DriveHabits.model_construct()
     """Habits of the emulated drives."""
 
     @property
@@ -403,7 +403,7 @@ class RailController(AxisController):
 
     modbus: Modbus | None = None
     rtu: ModbusRtu | None = None
-    map: RailMap = RailMap()
+    map: RailMap = RailMap.model_construct()
 
 
 class GimbalController(AxisController):
@@ -593,7 +593,7 @@ class LinearAxes(AxisGroupTable):
     mechanics: RailMechanics | None = None
     modbus: Modbus | None = None
     rtu: ModbusRtu | None = None
-    map: RailMap = RailMap()
+    map: RailMap = RailMap.model_construct()
 
 
 def _absent_rail() -> RailAxis:
@@ -828,7 +828,7 @@ class Vmu(DeviceTable):
     """Emulated unit: from exposure to the first byte."""
     clock: Literal["shared", "own"] = "shared"
     """Clock of the unit's time stamps: bench time, or its own."""
-    camera: RigCamera = RigCamera()
+    camera: RigCamera = RigCamera.model_construct()
     """Cameras of mock and emulated unit."""
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)
     """LEDs in t, of mock and emulated unit."""
@@ -845,9 +845,9 @@ class Vmu(DeviceTable):
     """Error of axes and calibration, 1 sigma per axis, added to the covariance of each pose."""
     bench_sigma_deg: NotNegative = 0.0
     """The same for the attitude."""
-    identity: VmuIdentity = VmuIdentity()
+    identity: VmuIdentity = VmuIdentity.model_construct()
     """Expected identity of the unit."""
-    drift_check: DriftCheckViews = DriftCheckViews()
+    drift_check: DriftCheckViews = DriftCheckViews.model_construct()
     rs422: VmuLine | None = None
 
 
@@ -877,17 +877,17 @@ class Rig(FileTable):
     rails: Rails
     turntable: Turntable
     vmu: Vmu
-    safety: Safety = Safety()
-    guard: GuardConfig = GuardConfig()
-    host: HostConfig = HostConfig()
-    clock: ClockConfig = ClockConfig()
-    console: ConsoleTable = ConsoleTable()
-    recording: RecordingTable = RecordingTable()
-    telemetry: TelemetryTable = TelemetryTable()
-    gnc_link: GncLink = GncLink()
-    flight_computer: FlightComputer = FlightComputer()
+    safety: Safety = Safety.model_construct()
+    guard: GuardConfig = GuardConfig.model_construct()
+    host: HostConfig = HostConfig.model_construct()
+    clock: ClockConfig = ClockConfig.model_construct()
+    console: ConsoleTable = ConsoleTable.model_construct()
+    recording: RecordingTable = RecordingTable.model_construct()
+    telemetry: TelemetryTable = TelemetryTable.model_construct()
+    gnc_link: GncLink = GncLink.model_construct()
+    flight_computer: FlightComputer = FlightComputer.model_construct()
     imu: ImuWire | None = None
-    monitor_camera: MonitorCamera = MonitorCamera()
+    monitor_camera: MonitorCamera = MonitorCamera.model_construct()
     io: Io | None = None
     arm: Arm | None = None
     """Robot that stands for rails and turntable, whose driver is then "arm"; on a mock rig its limits alone."""

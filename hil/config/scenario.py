@@ -63,7 +63,7 @@ class Thrusters(ConfigModel):
     """Time that an isolation valve takes to close; it does not open again."""
     bank: tuple[Annotated[int, Field(ge=1, le=MAX_THRUSTERS)], ...] = ()
     """Bank of each thruster."""
-    errors: ThrusterErrors = ThrusterErrors()
+    errors: ThrusterErrors = ThrusterErrors.model_construct()
 
     @model_validator(mode="after")
     def _one_direction_each(self) -> Self:
@@ -152,7 +152,7 @@ class Imu(ModelFmu):
     """Noise of a sample."""
     rate_hz: Positive | None = None
     """Samples per second, a multiple of the cycle's rate; unless set, one sample per cycle."""
-    errors: ImuErrors = ImuErrors()
+    errors: ImuErrors = ImuErrors.model_construct()
 
 
 class RenderedImages(ConfigModel):
@@ -197,8 +197,8 @@ class VisionNoise(ConfigModel):
     """Of a pose to arrive twice."""
     loss_probability: Probability = 0.0
     """Of a pose to be lost."""
-    images: RenderedImages = RenderedImages()
-    errors: VisionErrors = VisionErrors()
+    images: RenderedImages = RenderedImages.model_construct()
+    errors: VisionErrors = VisionErrors.model_construct()
 
 
 BUILTIN: Final = "builtin"
@@ -257,11 +257,11 @@ class Navigation(ConfigModel):
     """Standard deviations that poses report are taken times this factor."""
     memory_s: Positive = 1.28
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
-    budget: ErrorBudget = ErrorBudget()
+    budget: ErrorBudget = ErrorBudget.model_construct()
     """Sizes of the sensors' errors, for the filters."""
     handover: Handover | None = None
     """Start without a pose: what another navigation hands over."""
-    thrust: CommandedThrust = CommandedThrust()
+    thrust: CommandedThrust = CommandedThrust.model_construct()
     """Use of the commanded thrust."""
 
 
@@ -509,11 +509,11 @@ class Reactions(ConfigModel):
     """Poses are rejected, or their innovations contradict their covariance."""
     imu_suspect: PhaseReactions = _CONTINUE
     """Readings repeat, or no thruster explains them."""
-    thruster_fault: PhaseReactions = PhaseReactions()
+    thruster_fault: PhaseReactions = PhaseReactions.model_construct()
     """A thruster is stuck open or dead."""
     monitor_disagrees: PhaseReactions = _HOLD
     """The docking monitor measures another pose."""
-    covariance_invalid: PhaseReactions = PhaseReactions()
+    covariance_invalid: PhaseReactions = PhaseReactions.model_construct()
     """A variance of the filters is not finite or not positive."""
     bench_disagrees: PhaseReactions = _HOLD
     """The encoders of the bench contradict the estimate."""
@@ -521,7 +521,7 @@ class Reactions(ConfigModel):
     """A further sensor contradicts the others and is excluded."""
     cause_unknown: PhaseReactions | None = None
     """Innovations or the IMU are inconsistent, and no device stands out; unless set, as `vision_suspect`."""
-    unprotected: PhaseReactions = PhaseReactions()
+    unprotected: PhaseReactions = PhaseReactions.model_construct()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
     hold_max_s: Positive = 60.0
     """A hold or retreat that lasts longer becomes an abort."""
@@ -588,10 +588,10 @@ class GncConfig(ConfigModel):
     fmu_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = 0.5
     """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
-    ephemeris: Ephemeris = Ephemeris()
+    ephemeris: Ephemeris = Ephemeris.model_construct()
     modes: Annotated[dict[str, KnownMode], Field(max_length=MAX_MODES)] = Field(default_factory=dict)
     """Bending modes and slosh that filters and control allow for, by name; the truth has its own."""
-    target: KnownTarget = KnownTarget()
+    target: KnownTarget = KnownTarget.model_construct()
     akf: AttitudeFilter
     pkf: PositionFilter
     shadow: Shadow
@@ -599,8 +599,8 @@ class GncConfig(ConfigModel):
     corridor: Corridor
     abort: Abort
     control: Control
-    integrity: NavigationIntegrity = NavigationIntegrity()
-    reactions: Reactions = Reactions()
+    integrity: NavigationIntegrity = NavigationIntegrity.model_construct()
+    reactions: Reactions = Reactions.model_construct()
 
     @model_validator(mode="after")
     def _every_phase_can_be_aborted(self) -> Self:
@@ -806,26 +806,26 @@ class Scenario(FileTable):
     step_s: Annotated[float, Field(ge=1e-4, le=1.0)]
     """Period of the cycle: of guidance, navigation and control, and of the recorded rows."""
     orbit: Orbit
-    target: MovingTarget = MovingTarget()
-    truth: Truth = Truth()
+    target: MovingTarget = MovingTarget.model_construct()
+    truth: Truth = Truth.model_construct()
     chaser: Chaser
     initial: Initial
     imu: Imu
-    thrusters: ThrusterModel = ThrusterModel()
+    thrusters: ThrusterModel = ThrusterModel.model_construct()
     vmu: VisionNoise
     gnc: GncConfig
     requirements: Requirements
-    keep_out: KeepOut = KeepOut()
-    integrity: Integrity = Integrity()
-    reachability: Reachability = Reachability()
-    monitor: DockingMonitorConfig = DockingMonitorConfig()
-    bench: BenchScale = BenchScale()
+    keep_out: KeepOut = KeepOut.model_construct()
+    integrity: Integrity = Integrity.model_construct()
+    reachability: Reachability = Reachability.model_construct()
+    monitor: DockingMonitorConfig = DockingMonitorConfig.model_construct()
+    bench: BenchScale = BenchScale.model_construct()
     sensors: Annotated[dict[str, SensorConfig], Field(max_length=ADDED_SENSORS_MAX)] = Field(default_factory=dict)
     """Sensors other than vision unit, IMU and docking monitor, by name."""
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
     """Faults of devices, in the run's time."""
-    dispersions: Dispersions = Dispersions()
-    console: LiveTuning = LiveTuning()
+    dispersions: Dispersions = Dispersions.model_construct()
+    console: LiveTuning = LiveTuning.model_construct()
 
     @model_validator(mode="after")
     def _models_have_their_own_faults(self) -> Self:

@@ -80,8 +80,8 @@ class SceneCamera(ConfigModel):
     """Image height."""
     sky: Level = 12.0
     """Grey value behind everything, for rendering."""
-    noise: PixelNoise = PixelNoise()
-    tolerances: CameraTolerances = CameraTolerances()
+    noise: PixelNoise = PixelNoise.model_construct()
+    tolerances: CameraTolerances = CameraTolerances.model_construct()
     identity: CameraIdentity | None = None
     """The camera that this was measured of."""
 

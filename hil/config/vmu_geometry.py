@@ -151,7 +151,7 @@ class VmuGeometry(ConfigModel):
     `hil targets print`, or `opencv`, turned by 180 deg. ChArUco boards: `opencv`, or `legacy`, of OpenCV before 4.6.
     Unless set, it is taken from the places of several tags; poses that it leaves open are `rejected_print`."""
     sensor: Sensor | None = None
-    tolerances: Tolerances = Tolerances()
+    tolerances: Tolerances = Tolerances.model_construct()
     calibration: Calibration | None = None
     """Record of ``hil calibrate``."""
 

@@ -52,8 +52,8 @@ _KIND: Final = "inline, indices checked"
 def own_kernel(function: Callable[..., Any]) -> Any:
     """Return ``function`` compiled as a kernel that raises IndexError for an index outside an array."""
     compiled: Any = kernel(function)
-    compiled.inside.targetoptions["boundscheck"] = True
-    compiled.inside._cache = KernelCache(function, _KIND)
+    compiled.inside().targetoptions["boundscheck"] = True
+    compiled.inside()._cache = KernelCache(function, _KIND)
     return compiled
 
 

@@ -13,7 +13,6 @@ and checkouts share what is equal (``hil.core.kernel_folder``).
 from __future__ import annotations
 
 import hashlib
-import importlib
 import pickle
 import platform
 from collections.abc import Callable, Iterable
@@ -22,10 +21,13 @@ from typing import IO, Any, TypeVar, cast
 
 import llvmlite.binding
 import numba
+import numpy as np
 from numba import njit
 from numba.core.compiler import CompileResult
 from numba.core.registry import cpu_target
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
+from numba.np import numpy_support
 
 from hil.core.formulas import compile_formulas_by
 from hil.core.kernel_digest import OF_IMAGES, NotDigestible, digest_of
@@ -69,7 +71,7 @@ class KernelCache:
             data = self._read_after_others(name)
         if data is None:
             return None
-        _prepare(target_context)
+        rtsys.initialize(target_context)
         try:
             return CompileResult._rebuild(target_context, *pickle.loads(data))
         except (StaleCaller, ModuleNotFoundError):  # the latter: of a user's file that was edited or copied since
@@ -114,21 +116,6 @@ def _fields(types: Iterable[Any]) -> list[Any]:
     return [(getattr(each, "fields", ()), _fields(each.types)) for each in tuples]
 
 
-@cache
-def _prepare(target_context: Any) -> None:
-    """Let ``target_context`` load kernels, without scipy.linalg: numba imports it for BLAS, which no kernel here calls.
-
-    A kernel of a user's that calls BLAS imports it when it is compiled.
-    """
-    linalg: Any = importlib.import_module("numba.np.linalg")
-    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        linalg.ensure_blas = ensure_blas
-    target_context.refresh()
-
-
 def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
@@ -140,17 +127,20 @@ def kernel(function: _Function) -> _Function:
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     safety monitor's check for finite values and not by an exception in mid-cycle.
     """
-    inlined = not function.__module__.startswith(_NOT_INLINED)
     called = _compiled(function, "wrapped", WrappedCompiler)
-    inside = _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
-    call_template = inside.get_call_template
-    if function.__module__.startswith(OF_IMAGES):
-        called.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
-    else:
-        called.get_call_template = call_template
-    called.get_overload = inside.get_overload
-    called.inside = inside
+    called.inside = cache(lambda: _inside(function))  # half of the kernels of a program are never compiled by it
+    of_images = function.__module__.startswith(OF_IMAGES)
+    called.get_call_template = lambda types, named: called.inside().get_call_template(
+        [_any_integer(each) for each in types] if of_images else types, named
+    )
+    called.get_overload = lambda types: called.inside().get_overload(types)
     return cast(_Function, called)
+
+
+def _inside(function: Callable[..., Any]) -> Any:
+    """Return ``function`` compiled for other kernels."""
+    inlined = not function.__module__.startswith(_NOT_INLINED)
+    return _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
 
 
 def _compile_formula(function: Callable[..., Any]) -> None:
@@ -201,6 +191,16 @@ def processor() -> str:
     return str(_numba_config.CPU_NAME or llvmlite.binding.get_host_cpu_name())
 
 
+_records: dict[int, tuple[np.dtype, Any]] = {}
+
+
+def _record_once(dtype: np.dtype, of: Callable[[np.dtype], Any] = numpy_support.from_struct_dtype) -> Any:
+    """Return the type of a record, once: numba makes it for each array, and for each record inside one."""
+    if id(dtype) not in _records:
+        _records[id(dtype)] = (dtype, of(dtype))  # with the dtype: its id stays taken
+    return _records[id(dtype)][1]
+
+
 def _compile_for_baseline() -> None:
     """Let this process compile for the baseline of its architecture, if this computer has all features of that.
 
@@ -216,5 +216,6 @@ def _compile_for_baseline() -> None:
         config.CPU_NAME, config.CPU_FEATURES = name, ""
 
 
+numpy_support.from_struct_dtype = _record_once
 _compile_for_baseline()
 compile_formulas_by(_compile_formula)

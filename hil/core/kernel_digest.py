@@ -13,6 +13,7 @@ import enum
 import hashlib
 import opcode
 import platform
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -25,7 +26,9 @@ import numpy as np
 from numba.core.extending import _Intrinsic
 
 _LENGTH: Final = 16
-_LOAD_GLOBAL, _EXTENDED_ARG = (opcode.opmap[name] for name in ("LOAD_GLOBAL", "EXTENDED_ARG"))
+_LOADS: Final = re.compile(
+    rb"((?:%c.)*)%c(.)|.." % (opcode.opmap["EXTENDED_ARG"], opcode.opmap["LOAD_GLOBAL"]), re.DOTALL
+)
 _COMPILER: Final = ("numpy", "numba", "llvmlite")  # packages whose versions are in every digest
 _SOURCES: Final = ("jit.py", "kernel_library.py", "kernel_digest.py")
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), range, slice)
@@ -105,12 +108,8 @@ def _function(function: FunctionType) -> str:
 
 def _globals(code: CodeType) -> set[str]:
     """Return the names of globals in ``code`` and the functions inside it: an attribute may have the same name."""
-    names, extended = set[str](), 0
-    for operation, argument in zip(code.co_code[::2], code.co_code[1::2], strict=True):
-        whole = extended << 8 | argument
-        extended = whole if operation == _EXTENDED_ARG else 0
-        if operation == _LOAD_GLOBAL:
-            names.add(code.co_names[whole >> 1])  # the last bit: whether it is called at once
+    loads = (int.from_bytes(extended[1::2] + last) for extended, last in _LOADS.findall(code.co_code) if last)
+    names = {code.co_names[number >> 1] for number in loads}  # the last bit: whether it is called at once
     return names.union(*(_globals(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
 
 

@@ -9,6 +9,7 @@ of the force axes: all thrusters that push that way.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -99,13 +100,19 @@ def opposing_thrusters(wrenches: Array) -> np.ndarray:
 
 def _all_sets(wrenches: Array) -> tuple[np.ndarray, Array, float]:
     """Return all sets of up to four thrusters, (m, n) of 0 or 1, their force and torque (m, 6), and the mean arm, m."""
-    n = len(wrenches)
     arm = max(float(np.sqrt(np.mean(square(linear.lengths(wrenches[:, 3:]) / linear.lengths(wrenches[:, :3]))))), 1e-9)
+    masks = _masks(len(wrenches))
+    return masks, linear.product(masks, wrenches), arm
+
+
+@cache
+def _masks(n: int) -> np.ndarray:
     members = [list(c) for size in range(1, min(_LARGEST_SET, n) + 1) for c in combinations(range(n), size)]
     masks = np.zeros((len(members), n), dtype=np.int64)
     for row, chosen in enumerate(members):
         masks[row, chosen] = 1
-    return masks, linear.product(masks, wrenches), arm
+    masks.flags.writeable = False
+    return masks
 
 
 def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, Array]:

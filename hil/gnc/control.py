@@ -32,7 +32,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.gnc.predictive import STEPS, predicted_burn
 from hil.maths import quat, stack
 from hil.maths.arrays import fill
@@ -344,7 +344,7 @@ FEED_FORWARD = np.dtype(
 """What a reference that turns, axes of H that rotate, and late valves ask of control; zero without any of them."""
 
 
-@kernel
+@entry
 def control(params, navigation, reference, feed, command):
     """Write the six demands of ``command`` (COMMAND), which holds the state of the axes as well.
 

@@ -51,7 +51,7 @@ class CameraSettings(ConfigModel):
     """Grey level of the brightest hundredth of the image, to which the exposure time is controlled; unless set, not."""
     exposure_max_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     """Longest exposure time of that control."""
-    emulated: CameraHabits = CameraHabits()
+    emulated: CameraHabits = CameraHabits.model_construct()
     """Habits of the emulated cameras."""
 
 

@@ -146,7 +146,7 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[bench.errors]`: how the bench is built wrong."""
     sensors: Table = Field(default_factory=dict)
     """Distributions of keys of `[[sensors]]`, by their names: the filters keep the nominal ones."""
-    faults: FaultDispersion = FaultDispersion()
+    faults: FaultDispersion = FaultDispersion.model_construct()
     gnc: Table = Field(default_factory=dict)
     """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 

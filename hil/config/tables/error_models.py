@@ -148,4 +148,4 @@ _DETAILS = (
     "vision_correlation_time_s", "vision_noise_window", "gyro_instability_time_s", "accelerometer_instability_time_s",
     "camera_position_m", "led_ring_position_m",
 )  # fmt: skip
-_EMPTY = ErrorBudget()
+_EMPTY = ErrorBudget.model_construct()

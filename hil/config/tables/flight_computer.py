@@ -44,9 +44,9 @@ class FlightComputer(ConfigModel):
     """Time without a command word after which `on_loss` applies."""
     on_loss: Literal["hold", "stop"] = "stop"
     """Hold or safe stop."""
-    serial: WordsLine = WordsLine()
+    serial: WordsLine = WordsLine.model_construct()
     """Serial port of the command words."""
-    can: WordsCan = WordsCan()
+    can: WordsCan = WordsCan.model_construct()
     """CAN bus of the command words."""
     poses: WordsLine = WordsLine(baud=460_800)
     """Serial output of the vision unit's frames, if it has a port."""

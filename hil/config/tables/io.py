@@ -67,9 +67,9 @@ class Io(DeviceTable):
     """TCP port of the coupler."""
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus device id."""
-    coils: IoCoils = IoCoils()
+    coils: IoCoils = IoCoils.model_construct()
     """Addresses of outputs."""
-    inputs: InputLines = InputLines()
+    inputs: InputLines = InputLines.model_construct()
     """Addresses of inputs."""
     interlocks: dict[str, BitAddress] = Field(default_factory=dict)
     """Further contacts of the chain: name = input, 1 while closed. An open one ends the run and is named."""
@@ -83,7 +83,7 @@ class Io(DeviceTable):
     """Delayed contacts of the safety relay: the torque goes this long after brakes and chain."""
     warning_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     """Duration of the warning before the first motion after the drives were enabled, with `coils.warning`."""
-    identity: IoIdentity = IoIdentity()
+    identity: IoIdentity = IoIdentity.model_construct()
     """Expected identification of the coupler."""
 
     @model_validator(mode="after")

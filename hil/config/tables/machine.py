@@ -161,8 +161,8 @@ class BenchScale(ConfigModel):
     """Distance of the reference points beyond which the bench is scaled; unless set, nowhere."""
     scale: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     """Part of the additional distance that the bench moves, between 0 and 1."""
-    errors: MachineErrors = MachineErrors()
+    errors: MachineErrors = MachineErrors.model_construct()
     """Errors of the geometry of mock and emulated rigs, in addition to those of the rig."""
 
 
-FULL_SCALE: Final = BenchScale()
+FULL_SCALE: Final = BenchScale.model_construct()

@@ -59,7 +59,8 @@ AngleTriple = tuple[
 class ConfigModel(BaseModel):
     """Base of all tables of configuration files."""
 
-    # a table is built with the file that holds it, not at import: most are parts of others
+    # a table is built with the file that holds it, not at import: most are parts of others. Their defaults are
+    # therefore constructed, not validated.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, defer_build=True)
 
     @classmethod

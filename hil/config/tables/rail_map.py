@@ -191,15 +191,15 @@ class RailMap(ConfigModel):
     """Expected vendor."""
     firmware_min: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 0)
     """Oldest accepted firmware, major and minor; another major number is rejected."""
-    command: CommandBlock = CommandBlock()
+    command: CommandBlock = CommandBlock.model_construct()
     """Numbers written in each exchange."""
-    state: StateBlock = StateBlock()
+    state: StateBlock = StateBlock.model_construct()
     """Numbers read in each exchange."""
-    identity: IdentityBlock = IdentityBlock()
+    identity: IdentityBlock = IdentityBlock.model_construct()
     """Numbers read when the bench is opened."""
-    control_bits: ControlBits = ControlBits()
+    control_bits: ControlBits = ControlBits.model_construct()
     """Bits of the control word."""
-    status_bits: RailStatusBits = RailStatusBits()
+    status_bits: RailStatusBits = RailStatusBits.model_construct()
     """Bits of the status word."""
     faults: Mapping[FaultCode, str] = FAULT_TEXTS
     """Fault codes, decimal or 0x hexadecimal, and their names (free text)."""

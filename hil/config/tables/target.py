@@ -55,7 +55,7 @@ class MovingTarget(ConfigModel):
     """Principal moments of inertia; only their ratios count."""
     principal_axes_deg: AngleTriple = (0.0, 0.0, 0.0)
     """3-2-1 angles from the body axes to the principal ones."""
-    limit_cycle: LimitCycle = LimitCycle()
+    limit_cycle: LimitCycle = LimitCycle.model_construct()
 
     @model_validator(mode="after")
     def _moments_are_those_of_a_body(self) -> Self:

@@ -176,7 +176,7 @@ def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_wi
         return product(x, last) * 5.0
 
     assert factorial_of_five(1.0) == 120.0
-    assert len(product.inside.signatures) == 1  # type: ignore[attr-defined]
+    assert len(product.inside().signatures) == 1  # type: ignore[attr-defined]
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:

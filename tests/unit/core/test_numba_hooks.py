@@ -52,7 +52,7 @@ def test_code_generator_makes_libraries_of_this_class() -> None:
 
 def test_kernel_that_another_calls_is_bitcode_without_machine_code(ninth: Any) -> None:
     inside: Any = _third
-    library = library_of(inside.inside)
+    library = library_of(inside.inside())
     assert isinstance(library, InlineLibrary), _THIS
     assert library.get_pointer_to_function(library.name) == 0, _THIS
     assert not inside.overloads, f"{_THIS}: compiled for Python, which never calls it"
