@@ -46,7 +46,7 @@ nitpick_ignore_regex = [
         "py:class",
         r"hil\.(vmu\.(pose\.\w+|unit\.Pose|ghosts\.LensGhosts)|core\.modes\.Mode|core\.alarms\.AlarmKind)",
     ),
-    ("py:class", r"hil\.parts\.monitor\.(sources\.VideoFrame|region\.Region)"),
+    ("py:class", r"hil\.parts\.monitor\.(sources\.VideoFrame|settings\.Region)"),
 ]
 
 html_theme = "furo"

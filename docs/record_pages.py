@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from docs.c_headers import BACKEND_STRUCTS, STRUCTS
-from hil.core import manipulator_records, messages
+from hil.core import messages
 from hil.core.fields import Fields, record_dtype
 from hil.parts.fmi.model_stage import RECORDS as MODEL_RECORDS
 from hil.parts.monitor.results import PORTION_FIELDS
@@ -82,11 +82,11 @@ start of the record; types are those of numpy, little-endian; nested records hav
 `/manipulator`, one per cycle of a rig with a [rotary
 manipulator](../../explanation/moving-targets.md#rotary-manipulator) (`MANIPULATOR_SAMPLE`); the last two are records
 like `setpoint` of the cycle:""",
-            manipulator_records.MANIPULATOR_SAMPLE_FIELDS,
+            messages.MANIPULATOR_SAMPLE_FIELDS,
             "`setpoint` and `feedback` of it:",
-            manipulator_records.GIMBALS_FIELDS,
+            messages.GIMBALS_FIELDS,
             "## Held axes\n\n`/held_axes`, one per cycle and group of held axes or target rails (`HELD_SAMPLE`):",
-            manipulator_records.HELD_SAMPLE_FIELDS,
+            messages.HELD_SAMPLE_FIELDS,
             "## Frame of the vision unit\n\n`frame` (`VMU_FRAME`):",
             messages.VMU_FRAME_FIELDS,
             "## Portion\n\n`/monitor/portions`, one per batch of frames of the docking monitor (`PORTION`):",

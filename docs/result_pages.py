@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterator
 
+from docs.vmu_statuses import STATUSES
 from hil.core.alarm_table import ALARMS
 from hil.core.alarms import AlarmKind
 from hil.report.results import Results, RunResults
-from hil.vmu.statuses import STATUSES
 
 
 def alarms_of(hazard: str) -> list[str]:

@@ -18,7 +18,7 @@ from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.control import held_error, rule_of
 from hil.gnc.estimation.integrity import USUAL_SUM, go_sum
-from hil.gnc.estimation.missed_fault import largest_missed
+from hil.gnc.estimation.sensor_monitor import largest_missed
 from hil.maths import linear
 from hil.maths.elementary import square
 from hil.params.gnc import allocation, control, integrity
@@ -92,7 +92,7 @@ def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
     needs, thrusters = scenario.requirements, scenario.chaser.thrusters
     sets, strength = allocation(scenario.chaser)
     params = control(scenario, strength)
-    levels, sigma_m, sigma_mps = _levels(scenario, rig)
+    levels, sigma_m, sigma_mps = least_levels(scenario, rig)
     axes = []
     for k in np.flatnonzero(params.held == 0).tolist():
         i, is_turn = k % 3, k >= 3
@@ -128,13 +128,10 @@ def predicted_hold(scenario: Scenario, rig: Rig) -> list[AxisHold]:
     return axes
 
 
-def least_levels(scenario: Scenario, rig: Rig) -> Array:
-    """Return the least levels of a go at the ready point, m, along the docking axis and across it, (3,)."""
-    return _levels(scenario, rig)[0]
+def least_levels(scenario: Scenario, rig: Rig) -> tuple[Array, Array, float]:
+    """Return the least levels of a go at the ready point, m, along the docking axis and across it, (3,), and sigmas.
 
-
-def _levels(scenario: Scenario, rig: Rig) -> tuple[Array, Array, float]:
-    """Return the least levels of a go, m, (3,), and standard deviations of position, m, (3,), and velocity, m/s.
+    These are standard deviations of position, m, (3,), and velocity, m/s.
 
     Levels are 0 for another navigation than the built-in one with poses and IMU alone.
     """

@@ -8,7 +8,7 @@ more than ``_KNOWN`` of what is not known at first is not observed.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from hil.core.sensor_records import SENSOR_ESTIMATE
 from hil.errors import Problem
 from hil.maths import euler
 from hil.params.sensors import sensors_of, settings_row
-from hil.sensors.trial import Trial
+
+if TYPE_CHECKING:
+    from hil.sensors.trial import Trial
 
 _TIME_S: Final = 100.0
 _PERIOD_S: Final = 1.0
@@ -48,6 +50,8 @@ class StateSigma(NamedTuple):
 
 def state_sigmas(scenario: Scenario) -> list[StateSigma]:
     """Return what the fused sensors of ``scenario``, without a vision unit, make known of each state."""
+    from hil.sensors.trial import Trial  # of few runs
+
     sensors = [(n, s) for n, s in sensors_of(scenario).items() if s.config.use == "fusion" and s.config.enabled]
     trials = {name: Trial(sensor.kind, settings_row(sensor.kind, sensor.config)) for name, sensor in sensors}
     rates_hz = {name: sensor.config.rate_hz or sensor.kind.module.rate_hz for name, sensor in sensors}

@@ -47,8 +47,8 @@ def preflight(
     from hil.checks.signed_record import write_record
     from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario
-    from hil.core.local_user import local_user
     from hil.core.operator_keys import read_key
+    from hil.core.surroundings import local_user
     from hil.preflight import run
     from hil.preflight.lateness import histogram_lines
     from hil.report.table import print_waived

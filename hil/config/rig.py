@@ -12,7 +12,6 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from hil.config.tables.arm import Arm
 from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
-from hil.config.tables.can_bus import CanBus
 from hil.config.tables.drive_habits import DriveHabits
 from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.tables.flight_computer import FlightComputer
@@ -27,15 +26,14 @@ from hil.config.tables.host import (
     RecordingTable,
     TelemetryTable,
 )
-from hil.config.tables.imu_wire import ImuWire
 from hil.config.tables.io import Io
 from hil.config.tables.machine import MachineErrors
 from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.tables.model import ConfigModel, Delay, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.tables.open_table import FileTable
 from hil.config.tables.rail_map import RailMap
-from hil.config.tables.rail_wires import ModbusRtu
 from hil.config.tables.sign_off import SignOff
+from hil.config.tables.wires import CanBus, ImuWire, ModbusRtu
 from hil.maths import elementary, linear
 
 RAIL_NAMES = ("x", "y", "z")

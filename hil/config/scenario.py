@@ -10,13 +10,12 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from hil.config.live_tunable import BACKEND_SETTINGS, live_ranges
-from hil.config.tables.bench_scale import BenchScale
 from hil.config.tables.dispersions import Dispersions
 from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.config.tables.error_models import ErrorBudget, ImuErrors, ThrusterErrors, VisionErrors
 from hil.config.tables.faults import TimedFault
 from hil.config.tables.guard import KeepOut
-from hil.config.tables.integrity import Integrity
+from hil.config.tables.machine import BenchScale
 from hil.config.tables.model import (
     AngleTriple,
     ConfigModel,
@@ -30,10 +29,10 @@ from hil.config.tables.model import (
     Triple,
 )
 from hil.config.tables.open_table import FileTable
-from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
 from hil.config.tables.truth import Ephemeris, KnownMode, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
+from hil.config.tables.verdict import PART_COLUMNS, Integrity
 from hil.core.gnc_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_MODES, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX

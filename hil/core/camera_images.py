@@ -135,9 +135,9 @@ def image_row(
     return row
 
 
-def overlay_json(shapes: Sequence[Shape], size_max: int = OVERLAY_BYTES) -> bytes:
-    """Return the first of ``shapes`` that fit into a JSON list of ``size_max`` bytes; shapes with a nan are dropped."""
-    texts, remaining = [], size_max - 2
+def overlay_json(shapes: Sequence[Shape]) -> bytes:
+    """Return the first of ``shapes`` that fit into a JSON list of OVERLAY_BYTES; shapes with a nan are dropped."""
+    texts, remaining = [], OVERLAY_BYTES - 2
     for shape in shapes:
         try:
             text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
@@ -268,7 +268,6 @@ class ThreadedImageSink:
         self._thread: threading.Thread | None = None
 
     def due(self, exposed_s: float) -> bool:
-        """Return whether images exposed at ``exposed_s`` are selected; to be called once per exposure."""
         return self._encoder.due(exposed_s)
 
     def put(self, *images: CameraImage) -> None:

@@ -27,8 +27,7 @@ from typing import Any, Final, Protocol, Self, cast
 from weakref import WeakValueDictionary
 
 from hil.core.fork_server import ForkedProcess, ForkServer
-from hil.core.plug_ins import kernel_error, plug_in_error, without_exit
-from hil.core.stacks import STACK_SIGNAL, Stack, place_in
+from hil.core.plug_ins import STACK_SIGNAL, Stack, kernel_error, place_in, plug_in_error, without_exit
 from hil.core.surroundings import host_limit, unnamed_file
 from hil.errors import DeviceError, HilError, LinkLost, LinkTimeout, PlugInError, ProtocolError, one_line
 

@@ -169,7 +169,6 @@ class WallClock:
         return self.epoch_ns + round(t_s / self.speed * 1e9)
 
     def wall_s(self, duration_s: float) -> float:
-        """Return ``duration_s`` of bench time in s of wall time."""
         return duration_s / self.speed
 
     def paced_s(self, period_s: float) -> float:
@@ -180,7 +179,6 @@ class WallClock:
         return period_s * max(1.0, self.speed)
 
     def sleep_until(self, t_s: float) -> None:
-        """Sleep until bench time ``t_s``; return at once if that has passed."""
         left_ns = self.wall_ns(t_s) - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)

@@ -2,13 +2,15 @@
 
 What it raises or wrongly returns becomes a ``PlugInError``, one line with device, class, file and line; the traceback
 goes to the log. A process can note the calls under way, so that its parent can name the one in which it has died or
-hangs.
+hangs; stacks of other processes, as faulthandler writes them, show its place.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import re
+import signal
 import sys
 import threading
 import traceback
@@ -210,3 +212,41 @@ def stack_of_thread(ident: int) -> list[tuple[str, int, str]]:
         stack.append((frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_qualname))
         frame = frame.f_back
     return stack
+
+
+STACK_SIGNAL: Final = signal.SIGRTMIN + 4
+"""Lets a child process write the stacks of its threads to its stderr."""
+_FRAME: Final = re.compile(r'  File "(.*)", line (\d+) in (.*)')
+
+Frame = tuple[str, int, str]
+"""File, line and function."""
+
+
+class Stack(list[list[Frame]]):
+    """Frames of each thread, innermost first. current: of the thread alone in which a fatal signal struck."""
+
+    def __init__(self, text: str = "", current: bool = False) -> None:
+        super().__init__()
+        for part in re.split(r"^(?=(?:Current thread|Thread) 0x)", text, flags=re.MULTILINE)[1:]:
+            if not current or part.startswith("Current"):
+                self.append([(file, int(line), function) for file, line, function in _FRAME.findall(part)])
+
+    @property
+    def is_debugged(self) -> bool:
+        """Whether a debugger stands in one of the threads."""
+        return any(is_debugged(file for file, _, _ in frames) for frames in self)
+
+
+def place_in(stack: list[list[Frame]], waits_count: bool = True) -> str:
+    """Return where the code of a plug-in stands, as ``in FUNCTION (FILE, line N)``; "" if it stands nowhere.
+
+    A thread that is in it comes before one that it has left. waits_count: also if it waits in this program.
+    """
+    for depth in (1, None):
+        for frames in stack:
+            for file, line, function in frames[:depth]:
+                if is_users(file):
+                    return f"in {function} ({location(file, line)})"
+                if is_programs(file) and not waits_count:
+                    break
+    return ""

@@ -15,6 +15,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import pwd
 import re
 import resource
 import shutil
@@ -277,3 +278,11 @@ def _is_left(process: tuple[str | None, ...], entry: os.DirEntry[str], own: bool
     if namespace != _namespace():
         return status.st_mtime < time.time() - _KEPT_S
     return _start_of("self") != "" and _start_of(str(number)) != start  # "": no /proc here
+
+
+def local_user() -> str:
+    """Return the name of the account from the operating system, not from the environment."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"user {os.getuid()}"

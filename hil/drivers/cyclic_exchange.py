@@ -142,7 +142,6 @@ class CyclicAxisGroup:
             self._wake.set()
 
     def set_jogging(self, on: bool) -> None:
-        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         feedback = self._box.peek()
         if on and feedback is not None:
             self._setpoint = (feedback.position.copy(), self._rest, self._setpoint[2])

@@ -66,7 +66,6 @@ class MockAxes:
         self._set_homing({i: Homing.UNDER_WAY for i, state in enumerate(self._homing) if state != Homing.DONE})
 
     def set_jogging(self, on: bool) -> None:
-        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         self._jogging = on
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:

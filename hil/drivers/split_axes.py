@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock, Order
-from hil.core.messages import Array, AxisFeedback, Homing
+from hil.core.messages import Array, AxisFeedback, Homing, PoseFrame
 from hil.core.plug_ins import is_plug_in
 from hil.drivers.base import (
     NO_TORQUE_LIMIT,
@@ -27,7 +27,7 @@ from hil.drivers.base import (
     full_names,
 )
 from hil.drivers.returned import checked_feedback
-from hil.drivers.vmu.absent import AbsentVmu
+from hil.drivers.vmu import COUNTERS, NAME
 from hil.errors import BenchError
 
 
@@ -66,13 +66,11 @@ class SplitAxes:
             part.axes.home(now_s)
 
     def set_jogging(self, on: bool) -> None:
-        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         for part in self._parts:
             if isinstance(part.axes, Jogs):
                 part.axes.set_jogging(on)
 
     def set_period(self, period_s: float) -> None:
-        """Expect a setpoint every ``period_s``, from the next ``open`` on."""
         for part in self._parts:
             if isinstance(part.axes, Streams):
                 part.axes.set_period(period_s)
@@ -255,3 +253,23 @@ def make_axes(
         return made[0].axes
     split = SplitParkingAxes if all(isinstance(part.axes, Parks) for part in made) else SplitAxes
     return split(name, full_names(name, table.axis_names), made, clock)
+
+
+class AbsentVmu:
+    """Vision unit that is not there: no pose ever comes, and none is missing."""
+
+    name = NAME
+
+    def open(self, now_s: float) -> None:
+        """Do nothing."""
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        """Return no poses."""
+        return []
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters of a vision unit, all 0."""
+        return dict.fromkeys(COUNTERS, 0)
+
+    def close(self) -> None:
+        """Do nothing."""

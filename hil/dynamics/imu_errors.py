@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.dynamics.mass_centre import add_lever_terms
+from hil.dynamics.rigid_body import add_lever_terms
 from hil.maths import stack
 from hil.models.faults import normal
 

@@ -1,12 +1,37 @@
-"""On/off thrusters: their force, torque and propellant flow, and their errors."""
+"""On/off thrusters: force, torque, propellant flow, errors, and isolation valves upstream, which stay closed."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.core.messages import Array
+from hil.core.messages import MAX_THRUSTERS, Array
 from hil.maths import elementary, linear
+
+ISOLATION = np.dtype(
+    [("acts", "i8"), ("commanded", "i8", MAX_THRUSTERS), ("elapsed_s", "f8", MAX_THRUSTERS)], align=True
+)
+"""acts: 1 if a valve was commanded to close. elapsed_s: time since that command, of each thruster."""
+
+
+@kernel
+def isolate(isolation, thrusters):
+    """Command the isolation valves of ``thrusters`` (n,), 0 or 1, to close."""
+    for j in range(thrusters.shape[0]):
+        if thrusters[j] != 0:
+            isolation.acts = 1
+            isolation.commanded[j] = 1
+
+
+@kernel
+def close_isolated(isolation, closing_s, dt_s, fraction):
+    """Cut the thrust (n,) of this step off where an isolation valve was commanded ``closing_s`` ago."""
+    for j in range(fraction.shape[0]):
+        if isolation.commanded[j] != 0:
+            isolation.elapsed_s[j] += dt_s
+            if isolation.elapsed_s[j] > closing_s:
+                fraction[j] = 0.0
+
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 DRAWS_PER_THRUSTER = 3  # standard normals: two tilts, one force

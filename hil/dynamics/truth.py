@@ -22,27 +22,25 @@ from hil.core.messages import MAX_MODES, MAX_THRUSTERS
 from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.central_gravity import GRAVITY_PARAMS
-from hil.dynamics.eclipse import visible_sun
-from hil.dynamics.flexible_array import (
+from hil.dynamics.hill import hill_acceleration
+from hil.dynamics.mass_properties import (
     BENDING,
+    MASS_MODEL,
+    MASS_PROPERTIES,
     MODES,
     add_bending,
     add_bending_force,
     bending,
     bending_of_translation,
+    set_mass_properties,
 )
-from hil.dynamics.hill import hill_acceleration
-from hil.dynamics.isolation import ISOLATION, close_isolated
-from hil.dynamics.mass_centre import add_lever_terms, shift
-from hil.dynamics.mass_properties import MASS_MODEL, MASS_PROPERTIES, set_mass_properties
 from hil.dynamics.orbit_forces import ORBIT_FORCES
-from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
-from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
+from hil.dynamics.rigid_body import add_gravity_gradient, add_lever_terms, angular_acceleration, shift
+from hil.dynamics.sunlight import PLATE_PARAMS, pressure_force, visible_sun
 from hil.dynamics.target_attitude import ALIGNED, TARGET_ATTITUDE, move_target_axes
 from hil.dynamics.target_faults import TARGET_MEMORY, move_target, pushed_radius
-from hil.dynamics.thruster_errors import THRUSTER_ERRORS
-from hil.dynamics.thruster_faults import THRUST_MEMORY, step_real_valves
-from hil.dynamics.thrusters import propellant_flow, wrench
+from hil.dynamics.thruster_faults import THRUST_MEMORY, THRUSTER_ERRORS, step_real_valves
+from hil.dynamics.thrusters import ISOLATION, close_isolated, propellant_flow, wrench
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.faults import FAULTS

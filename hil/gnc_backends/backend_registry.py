@@ -9,12 +9,14 @@ import sys
 from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
 from hil.config.live_tunable import BACKEND_SETTINGS
 from hil.config.load import Loaded
 from hil.config.scenario import BUILT_IN, Scenario
+from hil.core.files import sha256_of
 from hil.core.gnc_records import MAX_IMU_SAMPLES
 from hil.core.own_code import import_error, module_of_file, require_trust
 from hil.core.part import provided
@@ -23,8 +25,6 @@ from hil.errors import BadInput, Problem, did_you_mean
 from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
 from hil.gnc_backends.python_backend import PythonBackend
-from hil.gnc_backends.shared_library import LibraryBackend
-from hil.sensors.registry import with_sensor_settings
 
 OBJECT: Final = "object"
 """Prefix of the name of a backend that the caller gives as a Python object: ``object:Ekf``."""
@@ -38,7 +38,10 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     A backend's settings stand in the order of their declaration. Raises BadInput for a backend or sensor that cannot be
     loaded, a setting that it does not have, or one outside its range.
     """
-    scenario = with_sensor_settings(scenario)
+    if scenario.value.sensors:
+        from hil.sensors.registry import with_sensor_settings  # of few runs
+
+        scenario = with_sensor_settings(scenario)
     value = scenario.value
     table: dict[str, Any] = {part: getattr(value.gnc, part) for part in PARTS}
     for part in PARTS:
@@ -63,6 +66,14 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     _refuse_undeclared(value, scenario.where("console.adjustable"))
     table = value.model_dump(mode="json", exclude_none=True)
     return scenario.with_table(table)
+
+
+def digest_of(path: str) -> str:
+    """Return the SHA-256 of a backend's file, "" if there is none."""
+    try:
+        return sha256_of(Path(path))
+    except BadInput:
+        return ""
 
 
 def declared_setting(scenario: Scenario, key: str) -> Setting:
@@ -175,6 +186,8 @@ def _name_of(given: object) -> str:
 
 def _of_name(name: str, part: str, refuse: Callable[[str], BadInput]) -> Backend:
     if name.endswith(".so"):
+        from hil.gnc_backends.shared_library import LibraryBackend  # of few runs
+
         return LibraryBackend(name, part, refuse)
     if name.endswith(".fmu"):
         backend: Backend = provided("backend in an FMU", f"gnc.{part}.backend")(name, part, refuse)

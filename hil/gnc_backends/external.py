@@ -13,9 +13,8 @@ from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_ARRIVAL
 from hil.errors import ProtocolError
 from hil.gnc import backend_outputs, backend_step, guidance, step, whole_step
 from hil.gnc.step import APPROACH_STATE
-from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
-from hil.gnc_backends.base import Poses, Records
+from hil.gnc_backends.base import GncBackend, Poses, Records
 from hil.gnc_backends.output_texts import fault_text, hold_reason, printable, reported_fault
 
 _MESSAGES_MAX: Final = 200  # logged in a run: a text that changes in each cycle must not fill the log
@@ -33,7 +32,7 @@ class BackendSetup(NamedTuple):
     event_log: ApproachEventLog
 
 
-class ExternalGnc(Approach):
+class ExternalGnc(GncBackend):
     """Takes estimate and thrusters from ``exchange``; guidance, approach monitor and event log run on the bench.
 
     name: of the GNC, in events and errors. ``input`` and ``output`` are GNC_INPUT and GNC_OUTPUT of the present cycle.

@@ -15,10 +15,10 @@ from numba import types
 from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
+from hil.core.foreign_call import RAISED, own_kernel, raised_by
 from hil.core.gnc_records import INPUTS, OUTPUTS
 from hil.core.jit import c_function
 from hil.core.own_code import compile_error
-from hil.core.own_kernel import RAISED, own_kernel, raised_by
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
 from hil.gnc_backends.backend import NO_SETTINGS, BackendInstance

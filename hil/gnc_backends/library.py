@@ -7,13 +7,11 @@ from typing import Final
 from hil.config.scenario import GncConfig
 from hil.core.part import provided
 from hil.errors import BadInput
-from hil.gnc_backends import shared_library
 from hil.gnc_backends.backend import WHOLE, Backend
-from hil.gnc_backends.backend_registry import backend_file
+from hil.gnc_backends.backend_registry import backend_file, digest_of
 from hil.gnc_backends.python_backend import PythonBackend
-from hil.gnc_backends.shared_library import LibraryBackend, digest_of
 
-_KEYS: Final = {True: "gnc.fmu", False: shared_library.KEY}
+_KEYS: Final = {True: "gnc.fmu", False: "gnc.library"}
 
 
 def key_of(gnc: GncConfig) -> str:
@@ -37,6 +35,8 @@ def open_library(
     if gnc.binary is None:
         return None
     if gnc.fmu is None:
+        from hil.gnc_backends.shared_library import LibraryBackend  # of few runs
+
         return LibraryBackend(gnc.binary, WHOLE, refuse)
     opened: Backend = provided("gnc.fmu", source)(gnc, refuse)
     return opened

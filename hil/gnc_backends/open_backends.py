@@ -15,9 +15,9 @@ from hil.errors import DeviceError, ProtocolError
 from hil.gnc import backend_outputs
 from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.step import GNC_STATE
-from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.backend import ANY_PART, NO_SETTINGS, PARTS, WHOLE, BackendInstance, Backends, failure_of
+from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.output_texts import hold_reason, printable
 
 _MESSAGES_MAX: Final = 200  # logged in a run: a text that changes in each cycle must not fill the log
@@ -109,7 +109,7 @@ class OpenBackends:
         return failure_of(self.name(part), state, int(self.setup.n_thrusters), error, message)
 
 
-class CompiledGnc(Approach):
+class CompiledGnc(GncBackend):
     """GNC whose step is one compiled call, of the compiled loop as well. params: GNC_PARAMS.
 
     state: GNC_STATE of the loop; None: of its own.

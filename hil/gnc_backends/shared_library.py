@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from hil.core.files import sha256_of
 from hil.core.gnc_records import (
     BACKEND_PROTOCOL,
     MAX_SETTINGS,
@@ -25,7 +24,6 @@ from hil.errors import BadInput
 from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance, address_of
 from hil.gnc_backends.output_texts import printable
 
-KEY: Final = "gnc.library"
 _FUNCTIONS: Final = ("open", "step", "close")
 _SUBNORMAL: Final = 1e-310
 
@@ -133,14 +131,6 @@ def _loaded(path: Path, names: list[str], interface: _Interface, refuse: Callabl
         text = f"has {interface.shown.format(declared)}, this bench has {interface.present}"
         raise refuse(f"{text}: build it with the header of {header}")
     return loaded
-
-
-def digest_of(path: str) -> str:
-    """Return the SHA-256 of a library's file, "" if there is none."""
-    try:
-        return sha256_of(Path(path))
-    except BadInput:
-        return ""
 
 
 def _keeps_subnormals() -> bool:

@@ -20,8 +20,8 @@ from hil.errors import DeviceError
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.models.profile import along_line, duration
-from hil.safety.guard_alarms import breach_alarm
 from hil.safety.monitor import SafetyMonitor
+from hil.safety.motion_guards import breach_alarm
 
 
 class SafetyInputs(NamedTuple):

@@ -20,7 +20,7 @@ from hil.core.messages import AXES, CYCLE
 from hil.dynamics import imu, truth
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.imu_faults import IMU_MEMORY
-from hil.dynamics.isolation import isolate
+from hil.dynamics.thrusters import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.gnc.estimation import integrity, navigation, sensor_witness
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE

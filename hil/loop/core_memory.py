@@ -15,8 +15,8 @@ from hil.core.messages import CYCLE, MAX_POSES, POSE, VMU_FRAME, imu_samples, ne
 from hil.loop.core import LOOP_PARAMS, LOOP_STATE
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
+from hil.params.bench import set_geometry
 from hil.params.faults import fault_rows
-from hil.params.geometry import set_geometry
 from hil.params.sensors import sensor_sources
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.transit import SPARE_FRAMES

@@ -31,8 +31,8 @@ from hil.loop.safety_io_stage import SafetyIo
 from hil.loop.stages import DssStage, FrameUsed, VisionStage
 from hil.maths import linear, quat
 from hil.maths.random_streams import NormalRows
-from hil.safety.guard_alarms import breach_alarm
 from hil.safety.monitor import SafetyMonitor
+from hil.safety.motion_guards import breach_alarm
 from hil.sensors.vision_unit.pose import largest_sigmas, position_in_h
 
 _KEEP_OUT: Final = (keep_out.KEEP_OUT, keep_out.PLANE, bench_guard.BODIES_MEET)

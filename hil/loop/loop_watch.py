@@ -17,11 +17,11 @@ from hil.core.plug_ins import (
     is_debugged,
     is_users,
     kernel_error,
+    place_in,
     plug_in_error,
     stack_of_thread,
     without_exit,
 )
-from hil.core.stacks import place_in
 from hil.errors import BenchError, DeviceError
 
 log = logging.getLogger("hil")

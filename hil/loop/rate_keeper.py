@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numba import types
 
-from hil.core.clock import BenchClock, HostPauses, SimulatedClock, WallClock
+from hil.core.clock import BenchClock, Clock, HostPauses, SimulatedClock, WallClock
 from hil.core.jit import kernel
 
 _MONOTONIC: Final = 1  # CLOCK_MONOTONIC, linux/time.h
@@ -71,52 +71,59 @@ class Tick:
     overrun_s: float = 0.0
 
 
-class Rate(Protocol):
+class Rate:
     """Starts each cycle and counts since ``restart``: executed + skipped_periods == elapsed periods."""
 
-    executed: int
-    """Cycles started."""
-    overruns: int
-    """Cycles that ended after the deadline of the next one."""
-    skipped_periods: int
-    """Periods in which no cycle started, because an earlier one was still running."""
-    paced: bool
+    paced = True
     """Whether time passes between cycles: in real time, or in lock-step."""
+    _clock: Clock
+
+    def __init__(self, step_s: float) -> None:
+        self._step_s = step_s
+        self.executed = 0
+        """Cycles started."""
+        self.overruns = 0
+        """Cycles that ended after the deadline of the next one."""
+        self.skipped_periods = 0
+        """Periods in which no cycle started, because an earlier one was still running."""
+        self.restart()
 
     @property
     def pause_s(self) -> float:
         """Longest time, s of wall time, by which the host woke the loop late in the last second; 0 without a pause."""
+        return 0.0
 
     def now_s(self) -> float:
         """Return bench time."""
-
-    def restart(self) -> None:
-        """Start a new count; its cycle 0 is one period from now."""
-
-    def wait(self) -> Tick:
-        """Wait for the next cycle's deadline."""
-
-    def pause(self) -> None:
-        """Let a short time pass outside of the cycles, and other threads run."""
-
-
-class SimulatedRate:
-    """Simulated time without waiting: cycle k is at exactly ``k * step_s`` after the restart."""
-
-    def __init__(self, clock: SimulatedClock, step_s: float) -> None:
-        self._clock = clock
-        self._step_s = step_s
-        self.executed = self.overruns = self.skipped_periods = 0
-        self.paced = False
-        self.pause_s = 0.0
-        self.restart()
-
-    def now_s(self) -> float:
         return self._clock.now_s()
 
     def restart(self) -> None:
+        """Start a new count; its cycle 0 is one period from now."""
+        self._zero_s = self._clock.now_s() + self._step_s
+        self.executed = self.overruns = self.skipped_periods = 0
+
+    def wait(self) -> Tick:
+        """Wait for the next cycle's deadline."""
+        raise NotImplementedError
+
+    def pause(self) -> None:
+        """Let a short time pass outside of the cycles, and other threads run."""
+        time.sleep(_PAUSE_S)
+
+
+class SimulatedRate(Rate):
+    """Simulated time without waiting: cycle k is at exactly ``k * step_s`` after the restart."""
+
+    paced = False
+    _clock: SimulatedClock
+
+    def __init__(self, clock: SimulatedClock, step_s: float) -> None:
+        self._clock = clock
+        super().__init__(step_s)
+
+    def restart(self) -> None:
+        super().restart()
         self._zero_s = self._clock.now_s()
-        self.executed = 0
 
     def seek(self, cycle: int) -> None:
         """Make ``cycle``, counted from the restart, the next one."""
@@ -127,27 +134,15 @@ class SimulatedRate:
         self.executed += 1
         return Tick(self._clock.t_s, self._zero_s, 0.0)
 
-    def pause(self) -> None:
-        time.sleep(_PAUSE_S)
 
-
-class LockStepRate:
+class LockStepRate(Rate):
     """Bench time in lock-step: a cycle is never late, so it has no lateness: nan."""
+
+    _clock: BenchClock
 
     def __init__(self, clock: BenchClock, step_s: float) -> None:
         self._clock = clock
-        self._step_s = step_s
-        self.executed = self.overruns = self.skipped_periods = 0
-        self.paced = True
-        self.pause_s = 0.0
-        self.restart()
-
-    def now_s(self) -> float:
-        return self._clock.now_s()
-
-    def restart(self) -> None:
-        self._zero_s = self._clock.now_s() + self._step_s
-        self.executed = 0
+        super().__init__(step_s)
 
     def wait(self) -> Tick:
         while (due_s := self._zero_s + self.executed * self._step_s) < self._clock.now_s():
@@ -160,7 +155,7 @@ class LockStepRate:
         self._clock.sleep(_PAUSE_S)
 
 
-class WallClockRate:
+class WallClockRate(Rate):
     """Absolute deadlines on the monotonic clock.
 
     A cycle that ends after the next deadline is an overrun: the periods that it covers are skipped and counted, and
@@ -168,25 +163,21 @@ class WallClockRate:
     process run meanwhile.
     """
 
+    _clock: WallClock
+
     def __init__(self, clock: WallClock, step_s: float) -> None:
         self._clock = clock
-        self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
         self._spin_ns = min(_SPIN_NS, int(_SPIN_FRACTION * self._period_ns))
         self._timespec = np.zeros(2, np.int64)
         wait_until(0, 0, self._timespec)  # loads the kernel before the first deadline
-        self.executed = self.overruns = self.skipped_periods = 0
-        self.paced = True
         self._pauses = HostPauses()
-        self.restart()
-
-    def now_s(self) -> float:
-        return self._clock.now_s()
+        super().__init__(step_s)
 
     def restart(self) -> None:
+        super().restart()
         self._deadline_ns = time.monotonic_ns()
         self._zero_s = self._bench_s(self._deadline_ns + self._period_ns)
-        self.executed = self.overruns = self.skipped_periods = 0
 
     @property
     def pause_s(self) -> float:
@@ -215,9 +206,6 @@ class WallClockRate:
         if not skipped:
             return Tick(self._bench_s(now_ns), self._zero_s, lateness_s)
         return Tick(self._bench_s(now_ns), self._zero_s, lateness_s, skipped, late_ns * 1e-9)
-
-    def pause(self) -> None:
-        time.sleep(_PAUSE_S)
 
     def _bench_s(self, monotonic_ns: int) -> float:
         return (monotonic_ns - self._clock.epoch_ns) * 1e-9 * self._clock.speed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,7 +23,9 @@ from hil.loop.core_memory import CoreMemory
 from hil.params.sensors import MONITOR
 from hil.safety.alarms import AlarmLog
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample
-from hil.sensors.module import SensorKind
+
+if TYPE_CHECKING:
+    from hil.sensors.module import SensorKind
 
 _SILENT_S: Final = 1.0  # after the last sample of a source
 

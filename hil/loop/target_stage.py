@@ -13,15 +13,13 @@ from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import HeldAtPlace, RotaryManipulator, TargetManipulator
 from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
-from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import AXES, Array, Homing, new
+from hil.core.messages import AXES, HELD_SAMPLE, MANIPULATOR_SAMPLE, Array, Homing, new
 from hil.drivers.base import AxisGroup
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_axes import TargetAxes
-from hil.safety.guard_alarms import breach_alarm
-from hil.safety.jog_guard import JogGuard
+from hil.safety.motion_guards import JogGuard, breach_alarm
 
 
 class HeldAxes(TargetAxes):

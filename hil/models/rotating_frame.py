@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import stack
 from hil.maths.arrays import cross_into
-from hil.maths.elliptic import STEPS, jacobi_into
+from hil.maths.special import STEPS, jacobi_into
 
 TUMBLE = np.dtype(
     [

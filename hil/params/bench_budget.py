@@ -14,8 +14,7 @@ from hil.config.rig import Rig
 from hil.config.tables.machine import NAMES, PARAMETERS, ROTATIONS
 from hil.core.messages import Array
 from hil.maths import linear
-from hil.params.bench import bench
-from hil.params.geometry import set_geometry
+from hil.params.bench import bench, set_geometry
 
 STEP = 1e-6  # m, rad, of a parameter for the slope of a pose
 

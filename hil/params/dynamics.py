@@ -14,10 +14,9 @@ from hil.config.tables.truth import BendingMode, Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
 from hil.dynamics.central_gravity import GRAVITY_PARAMS, acceleration, field_table
-from hil.dynamics.eclipse import visible_sun
 from hil.dynamics.gravity_file import GravityField
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.solar_pressure import SOLAR_PRESSURE_PA
+from hil.dynamics.sunlight import SOLAR_PRESSURE_PA, visible_sun
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR, hold_in_plane
 from hil.errors import BadInput, Problem

@@ -13,7 +13,7 @@ from hil.config.tables.model import Triple
 from hil.core.messages import Array, new
 from hil.dynamics import imu_faults, target_faults, thruster_faults
 from hil.dynamics.imu_errors import IMU_ERRORS
-from hil.dynamics.thruster_errors import THRUSTER_ERRORS
+from hil.dynamics.thruster_faults import THRUSTER_ERRORS
 from hil.maths import elementary, quat
 from hil.models import axis_faults
 from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SEED_BITS, SIZE, UNTIL, VALUE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.dynamics import sun_direction
 from hil.params.faults import fault_rows
 from hil.sensors.measurement import SENSOR_PARAMS
-from hil.sensors.module import SensorKind
-from hil.sensors.registry import sensor
-from hil.sensors.trial import rehearsed
+
+if TYPE_CHECKING:
+    from hil.sensors.module import SensorKind
 
 MONITOR: Final = "monitor"
 """Name of the sensor of the table ``[monitor]``."""
@@ -45,16 +45,22 @@ def sensors_of(scenario: Scenario) -> dict[str, LoopSensor]:
     sensors = _added(scenario)
     if scenario.monitor.source != "none" and scenario.monitor.interlock:
         config = provided("monitor.source", "scenario")(scenario)
-        sensors[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
+        sensors[MONITOR] = LoopSensor(_kind_of(config), config, scenario.monitor.source == "model")
     return sensors
 
 
 def _added(scenario: Scenario) -> dict[str, LoopSensor]:
     """Return the sensors that the scenario adds: without the docking monitor, whose scene is a file to be read."""
     return {
-        name: LoopSensor(sensor(config.kind), config, config.source == "model")
+        name: LoopSensor(_kind_of(config), config, config.source == "model")
         for name, config in scenario.sensors.items()
     }
+
+
+def _kind_of(config: SensorConfig) -> SensorKind:
+    from hil.sensors.registry import sensor  # of few runs
+
+    return sensor(config.kind)
 
 
 class SensorErrorState(NamedTuple):
@@ -99,6 +105,8 @@ def sensor_sources(scenario: Scenario, seed: int) -> np.record:
     params, sensors = new(SENSOR_PARAMS), sensors_of(scenario)
     if not sensors:
         return params
+    from hil.sensors.trial import rehearsed  # of few runs
+
     params.n, params.seed, params.sun_I = len(sensors), seed & SEED_BITS, sun_direction(scenario)
     params.faults = fault_rows(scenario, "sensor", seed, MONITOR)
     names, q_vc = list(sensors), quat.from_matrix(np.array(BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0)).camera_axes))
@@ -126,6 +134,8 @@ def sensor_fusion(scenario: Scenario, first_state: int, gate: float) -> np.recor
     params, integrity, sensors = new(SENSOR_FUSION_PARAMS), scenario.gnc.integrity, sensors_of(scenario)
     if not sensors:
         return params
+    from hil.sensors.trial import rehearsed
+
     params.n, params.fused = len(sensors), sum(config.use == "fusion" for _, config, _ in sensors.values())
     params.mean_shift, params.cusum_limit = integrity.mean_shift_sigmas, integrity.cusum_limit_sigmas
     params.nis_weight = 1.0 / integrity.nis_window

@@ -18,7 +18,7 @@ from hil.dynamics.target_attitude import (
 )
 from hil.maths import elementary, euler, linear, quat
 from hil.maths.elementary import square
-from hil.maths.elliptic import first_kind, landen_moduli
+from hil.maths.special import first_kind, landen_moduli
 from hil.models import rotating_frame
 from hil.models.rotating_frame import euler_acceleration
 

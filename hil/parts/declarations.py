@@ -166,7 +166,7 @@ WIRES: Final = Part(
         "rig.turntable.driver=cia402: description": "hil.drivers.turntable.cia402.describe:describe",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
-    check_rig="hil.parts.wires.clock:check_clock",
+    check_rig="hil.parts.wires.devices:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
         "hil.drivers.arm.device", "hil.drivers.arm.entry",
@@ -175,7 +175,6 @@ WIRES: Final = Part(
         "hil.drivers.line_sensor", "hil.drivers.loop_thread",
         "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.returned",
         "hil.drivers.can_port", "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable",
-        "hil.drivers.vmu.absent",
         "hil.drivers.vmu.codec", "hil.drivers.vmu.codecs", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry",
         "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender", "hil.drivers.vmu.text_codec",
         "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock",

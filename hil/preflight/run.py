@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.checks.before_run import unseen_warnings
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
 from hil.checks.ephemeris import ephemeris_warnings
 from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
-from hil.checks.unseen import unseen_warnings
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario

@@ -25,8 +25,7 @@ from hil.config.tables.open_table import FileTable
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import parse_json
 from hil.core.incomplete import note_incomplete
-from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
+from hil.core.messages import AXES_SAMPLE, HELD_SAMPLE, IMU_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.own_code import note_data
 from hil.core.part import part_sinks
 from hil.core.part import parts as parts_of_program

@@ -20,8 +20,7 @@ from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
 from hil.core.fields import record_dtype
-from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
-from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
+from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, HELD_SAMPLE, IMU_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.part import imported, part_sinks
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput

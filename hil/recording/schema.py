@@ -18,8 +18,14 @@ import numpy as np
 
 from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
-from hil.core.manipulator_records import HELD_SAMPLE_FIELDS, MANIPULATOR_SAMPLE_FIELDS
-from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
+from hil.core.messages import (
+    ARRIVAL_FIELDS,
+    AXES_SAMPLE_FIELDS,
+    CYCLE_FIELDS,
+    HELD_SAMPLE_FIELDS,
+    IMU_SAMPLE_FIELDS,
+    MANIPULATOR_SAMPLE_FIELDS,
+)
 from hil.core.part import imported, part_sinks
 from hil.core.sensor_records import SENSOR_ARRIVAL_FIELDS
 from hil.errors import BadInput

@@ -10,9 +10,9 @@ from hil.config.rig import Rig
 from hil.core.alarms import Alarm
 from hil.core.build_info import VERSION
 from hil.core.camera_images import ImageEncoder
-from hil.core.local_user import local_user
 from hil.core.messages import Event
 from hil.core.modes import Mode
+from hil.core.surroundings import local_user
 from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.runner import Runner

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.config.rig import BENCH_AXES
 from hil.config.scenario import Scenario
-from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.config.tables.verdict import PART_COLUMNS, required_parts
 from hil.core.alarm_table import ALARMS
 from hil.core.alarms import Alarm, slug
 from hil.core.gnc_records import GncHealth

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import Field, asdict, dataclass, field, fields
 from typing import Any, ClassVar, Self, dataclass_transform
 
-from hil.config.tables.required_parts import PART_COLUMNS
+from hil.config.tables.verdict import PART_COLUMNS
 
 Vector = list[float]
 Text = Callable[[Any], str]

@@ -21,8 +21,7 @@ from hil.core.build_info import build_info
 from hil.core.messages import Event
 from hil.gnc.control import rule_of
 from hil.gnc_backends.approach_events import DOCKING_GO
-from hil.gnc_backends.backend_registry import backend_file
-from hil.gnc_backends.shared_library import digest_of
+from hil.gnc_backends.backend_registry import backend_file, digest_of
 from hil.loop.outcome import Outcome
 from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params

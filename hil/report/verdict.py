@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.config.scenario import Requirements, Scenario
 from hil.config.tables.model import Triple
-from hil.config.tables.required_parts import required_parts
+from hil.config.tables.verdict import required_parts
 from hil.core.messages import Array
 from hil.gnc import ready_phase
 from hil.loop.runner import COMPLETED

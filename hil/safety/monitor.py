@@ -22,10 +22,37 @@ from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
 from hil.safety.alarms import AlarmLog
-from hil.safety.estop import EmergencyStop
-from hil.safety.guard_alarms import breach_alarm
-from hil.safety.jog_guard import JogGuard
+from hil.safety.motion_guards import JogGuard, breach_alarm
 from hil.safety.packet_loss import LinkWatch, SpeedCheck
+
+
+class EmergencyStop:
+    """Latch of the emergency stop.
+
+    The input is evaluated by level: one sample while the button is pressed latches. A reset acts only on its rising
+    edge while the button is released; a reset held from before, or with an edge while pressed, has no effect.
+    """
+
+    def __init__(self) -> None:
+        self.latched = False
+        self.pressed = False
+        self._reset_before = True  # a reset held at program start is no edge
+
+    def update(self, pressed: bool | None, reset: bool = False) -> None:
+        """Update with the levels of button and reset input; ``pressed`` None: unknown, which counts as pressed."""
+        self.pressed = pressed is None or pressed
+        if self.pressed:
+            self.latched = True
+        elif reset and not self._reset_before:
+            self.latched = False
+        self._reset_before = reset
+
+    def reset(self) -> bool:
+        """Reset on the operator's command, which counts as an edge; return whether the latch is released."""
+        if not self.pressed:
+            self.latched = False
+        return not self.latched
+
 
 _SWITCHES: Final = {-1: "low", 1: "high"}
 _REST_MPS = 0.01

@@ -15,10 +15,10 @@ from numba import types
 from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
+from hil.core.foreign_call import own_kernel, raised_by
 from hil.core.jit import c_function
 from hil.core.messages import Array, new
 from hil.core.own_code import compile_error
-from hil.core.own_kernel import own_kernel, raised_by
 from hil.core.plug_ins import kernel_errors, raised_text
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_SAMPLE, SENSOR_TRUTH
 from hil.errors import BadInput

@@ -18,8 +18,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, read_status
 from hil.errors import DeviceError
-from hil.parts.wires.clock import check_clock
-from hil.parts.wires.devices import ptp_check
+from hil.parts.wires.devices import check_clock, ptp_check
 
 CONFIGURATION = """[global]
 free_running 1

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.sensor_records import ACCEPTED, NOT_USED, SENSOR_ARRIVAL
@@ -56,8 +57,22 @@ def fly(kind: str, *more: str, compiled: bool = True, seed: int = 3) -> tuple[np
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_jacobian_and_noise_are_as_stated(kind: str) -> None:
-    assert check.problems(sensor(kind), seed=5) == []
+def test_jacobian_and_noise_are_as_stated(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["sensors", "check", kind, "--seed", "5", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+def test_each_module_is_listed_and_another_Jacobian_than_stated_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert execute(["sensors", "list"]) == 0
+    listed = capsys.readouterr().out
+    assert all(kind in listed for kind in SHIPPED)
+    file = tmp_path / "bearing.py"
+    text = Path(PLUGIN.rpartition(":")[0]).read_text()
+    file.write_text(text.replace("-1.0 - (s[1]", "-2.0 - (s[1]"))
+    assert execute(["sensors", "check", f"{file}:BearingCamera"]) == 2
+    assert "innovate: h of " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", KINDS)

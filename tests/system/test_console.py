@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, PASSED, execute
-from hil.config.tables.required_parts import PART_COLUMNS
+from hil.config.tables.verdict import PART_COLUMNS
 from hil.core.operator_keys import new_key, write_operators
 from hil.core.own_code import trusting
 from hil.parts.console.serve import is_loopback

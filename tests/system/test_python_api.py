@@ -159,6 +159,18 @@ def test_procedure_homes_jogs_arms_holds_resumes_and_ends() -> None:
         bench.home()
 
 
+def test_another_thread_holds_a_run_and_stops_it() -> None:
+    with hil.Bench("mock", "scheme-1", overrides={"duration_s": 600.0}) as bench:
+        bench.arm()
+        threading.Timer(0.05, bench.hold).start()
+        first = bench.start()
+        assert (first.stop, bench.mode) == ("on hold", Mode.HOLD)
+        threading.Timer(0.05, bench.stop).start()
+        run = bench.resume()
+        assert run.stop == "stopped by the operator"
+        assert first.t_s[-1] < run.t_s[-1] < 600.0
+
+
 def test_procedure_waits_until_ready() -> None:
     near = dict(setting.split("=", 1) for setting in NEAR)
     position = json.loads(near["initial.position_m"])

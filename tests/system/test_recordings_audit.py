@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 import hil
 from hil.cli.main import FAILED, PASSED, execute
-from hil.core.local_user import local_user
+from hil.core.surroundings import local_user
 from hil.recording.read import Scan
 
 Records = list[Any]

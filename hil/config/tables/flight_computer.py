@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.tables.can_bus import CanBus
 from hil.config.tables.driver_registry import Wire, WireKey
 from hil.config.tables.model import ConfigModel, Positive
+from hil.config.tables.wires import CanBus
 
 
 class WordsCan(CanBus):

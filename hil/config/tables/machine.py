@@ -1,4 +1,7 @@
-"""Errors of the bench's geometry: tables ``bench.errors`` of rig and scenario, and parameters of a geometry file."""
+"""Geometry of the bench: its scale, table ``[bench]`` of a scenario, and its errors.
+
+These are the tables ``bench.errors`` of rig and scenario, and the parameters of a geometry file.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Annotated, Final, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hil.config.tables.model import ConfigModel, NotNegative, Triple
+from hil.config.tables.model import ConfigModel, NotNegative, Positive, Triple
 from hil.config.tables.units import si_factor
 from hil.core.messages import Array
 
@@ -144,3 +147,22 @@ class MachineErrors(MachineGeometry):
             name = NAMES[int(np.abs(self.vector).argmax())]
             raise ValueError(f"{name}: {size:g} m or rad, allowed 0.2: an error of the geometry, not the geometry")
         return self
+
+
+class BenchScale(ConfigModel):
+    """Scale of the bench: at a distance it moves a fraction of the way, along the same line of sight.
+
+    Nearer than `scaled_beyond_m` the bench shows the relative motion as it is. Beyond it shows the direction of the
+    target and a fraction of the additional distance, without a jump of position or velocity. What is measured on the
+    bench there is converted back, except poses of the vision unit: these are not used.
+    """
+
+    scaled_beyond_m: Positive | None = None
+    """Distance of the reference points beyond which the bench is scaled; unless set, nowhere."""
+    scale: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    """Part of the additional distance that the bench moves, between 0 and 1."""
+    errors: MachineErrors = MachineErrors.model_construct()
+    """Errors of the geometry of mock and emulated rigs, in addition to those of the rig."""
+
+
+FULL_SCALE: Final = BenchScale.model_construct()

@@ -15,8 +15,7 @@ from hil.config.rig import AxisGroupTable, Rig
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback
 from hil.core.plug_ins import call
-from hil.drivers.arm.model import ArmKinematics, ArmPath, FlangePose, Unreachable, braking
-from hil.drivers.arm.setpoints import JoinedSetpoints
+from hil.drivers.arm.model import ArmKinematics, ArmPath, FlangePose, JoinedSetpoints, Unreachable, braking
 from hil.drivers.axes import SetpointLimits
 from hil.drivers.base import AxisGroup
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
@@ -151,7 +150,6 @@ class ArmExchange:
         self._ending = True
 
     def close(self) -> None:
-        """Close the link. Idempotent."""
         self._link.close()
 
     def counters(self) -> dict[str, int]:

@@ -6,8 +6,7 @@ import numpy as np
 
 from hil.config.rig import AxisGroupTable, Rig
 from hil.core.messages import Array
-from hil.drivers.arm.model import ArmKinematics, ArmPath, Unreachable
-from hil.drivers.arm.setpoints import JoinedSetpoints
+from hil.drivers.arm.model import ArmKinematics, ArmPath, JoinedSetpoints, Unreachable
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import DeviceError
 

@@ -149,7 +149,6 @@ class GenicamCamera:
 
     @property
     def shutter(self) -> str:
-        """See ``Camera``."""
         device = self._library.camera_get_device(self._camera)
         try:
             mode: bytes | None = self._library.device_get_string_feature_value(device, SHUTTER.encode())
@@ -159,7 +158,6 @@ class GenicamCamera:
 
     @property
     def identity(self) -> CameraIdentity:
-        """See ``Camera``."""
         library, device = self._library, self._library.camera_get_device(self._camera)
 
         def read(feature: str, kind: type) -> Any:
@@ -180,7 +178,6 @@ class GenicamCamera:
 
     @property
     def packet_bytes(self) -> int:
-        """See ``Camera``."""
         library = self._library
         if not library.camera_is_gv_device(self._camera):
             return 0
@@ -192,7 +189,6 @@ class GenicamCamera:
         self._started = True
 
     def trigger(self) -> None:
-        """Command one exposure. Raises DeviceError."""
         self._do("software trigger", self._library.camera_software_trigger, self._camera)
 
     def receive(self, timeout_s: float) -> CameraFrame | None:
@@ -232,7 +228,6 @@ class GenicamCamera:
         return to_8_bits(raw.reshape(self._size[1], self._size[0]), self._bits)
 
     def close(self) -> None:
-        """Stop and release the camera. Idempotent, never raises."""
         if self._started:
             self._started = False
             with contextlib.suppress(AravisError):

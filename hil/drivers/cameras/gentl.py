@@ -57,17 +57,14 @@ class GentlCamera:
 
     @property
     def shutter(self) -> str:
-        """See ``Camera``."""
         return self._nodes.shutter
 
     @property
     def identity(self) -> CameraIdentity:
-        """See ``Camera``."""
         return self._nodes.identity
 
     @property
     def packet_bytes(self) -> int:
-        """See ``Camera``."""
         return self._nodes.packet_bytes
 
     def start(self) -> None:
@@ -76,11 +73,9 @@ class GentlCamera:
             self._camera.start()
 
     def trigger(self) -> None:
-        """Command one exposure. Raises DeviceError."""
         self._nodes.execute("TriggerSoftware")
 
     def receive(self, timeout_s: float) -> CameraFrame | None:
-        """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
         camera = self._camera
         with link_lost(self._name, self._errors):
             camera.timeout_period_on_update_event_data_call = max(1, round(1e3 * timeout_s))
@@ -108,7 +103,6 @@ class GentlCamera:
         self._nodes.set_exposure(exposure_s)
 
     def close(self) -> None:
-        """Stop and release the camera. Idempotent, never raises."""
         camera, self._camera = self._camera, None
         for end in (camera.destroy if camera is not None else None, self._producers.reset):
             if end is not None:

@@ -61,18 +61,15 @@ class V4l2Camera:
 
     @property
     def shutter(self) -> str:
-        """See ``Camera``: V4L2 reports none."""
         return ""
 
     @property
     def identity(self) -> CameraIdentity:
-        """See ``Camera``: V4L2 reports no region of the sensor; the serial number is that of USB."""
         node = _SYSTEM / Path(self._identifier).resolve().name
         return CameraIdentity(model=_line(node / "name"), serial=_line((node / "device").resolve().parent / "serial"))
 
     @property
     def packet_bytes(self) -> int:
-        """See ``Camera``: no network."""
         return 0
 
     def start(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.tables.imu_wire import ImuCan
+from hil.config.tables.wires import ImuCan
 from hil.core.clock import BenchClock
 from hil.drivers.can_port import CanPort, encode_serial
 from hil.drivers.wire_reader import READ_WALL_S

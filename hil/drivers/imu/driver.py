@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.tables.imu_wire import UDP, ImuWire
+from hil.config.tables.wires import UDP, ImuWire
 from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.drivers.datagrams import DatagramPort

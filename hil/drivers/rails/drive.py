@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hil.config.rig import LinearAxes, ModbusAxis
-from hil.config.tables.rail_wires import ModbusRtu
+from hil.config.tables.wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterBlock, RegisterMap, State, Status

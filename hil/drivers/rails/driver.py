@@ -100,7 +100,6 @@ class ModbusRails(LoopThread):
         self._call(self._begin_homing)
 
     def set_jogging(self, on: bool) -> None:
-        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         self._jogging = on
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:

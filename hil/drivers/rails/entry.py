@@ -7,7 +7,7 @@ from typing import Final
 from hil.config.rig import LINEAR_NAMES, LinearAxes, RailAxis, check_ids
 from hil.config.tables.driver_registry import DriverEntry, WireKey
 from hil.config.tables.rail_map import range_of
-from hil.config.tables.rail_wires import ModbusRtu
+from hil.config.tables.wires import ModbusRtu
 
 _DRIVES_LEAST: Final = 3  # for which the time-out must suffice
 

@@ -18,7 +18,7 @@ from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
-from hil.config.tables.rail_wires import ModbusRtu
+from hil.config.tables.wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.drivers.rails.frames import READ, READ_WRITE, WRITE_ONE, Counters, Expected, ModbusFrame, ResponseMatcher
 from hil.drivers.serial_port import set_low_latency, url_of

@@ -15,7 +15,7 @@ from hil.drivers.base import AxisGroup, DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import HEARTBEAT, IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
-from hil.drivers.vmu.absent import AbsentVmu
+from hil.drivers.split_axes import AbsentVmu
 
 _READY_WALL_S: Final = 60.0
 _ORDERS: Final = {IO: Order.IO, WATCHDOG: Order.WATCHDOG}

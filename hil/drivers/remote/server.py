@@ -89,7 +89,6 @@ class DeviceServer:
         return {}
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
         periods = 0
         stepped_s = beat_s = self.clock.host_s()
         while not stop.is_set():

@@ -22,9 +22,9 @@ _NAME: Final = "vmu"
 class FrameSender:
     """Sends identity and frames, numbered from 0, on the serial port ``port``. Raises LinkLost, in the unit's name."""
 
-    def __init__(self, port: str, baud: int, identity: ReportedIdentity = IDENTITY) -> None:
+    def __init__(self, port: str, baud: int) -> None:
         self._codec = frame_codec()
-        self._identity = self._codec.encode_identity(identity)
+        self._identity = self._codec.encode_identity(IDENTITY)
         self._identified_s = -float("inf")
         self._counter = 0
         try:

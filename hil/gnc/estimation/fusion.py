@@ -27,10 +27,10 @@ from hil.gnc.estimation import body_frame, joint_filter, plane, pose_model, sens
 from hil.gnc.estimation.akf import AKF_PARAMS
 from hil.gnc.estimation.body_frame import AXES_STEP
 from hil.gnc.estimation.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
-from hil.gnc.estimation.intervals import mean_interval
 from hil.gnc.estimation.pkf import PKF_PARAMS
 from hil.gnc.estimation.plane import OFF_PLANE
 from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE
+from hil.gnc.estimation.sensor_monitor import mean_interval
 from hil.gnc.estimation.step_memory import (
     DOUBTS,
     POSES_PER_STEP,

@@ -18,7 +18,7 @@ from hil.core.jit import entry, kernel
 from hil.core.messages import POSE
 from hil.gnc.estimation import sensor_monitor, thrust_model
 from hil.gnc.estimation.error_state import V
-from hil.gnc.estimation.missed_fault import largest_missed
+from hil.gnc.estimation.sensor_monitor import largest_missed
 from hil.maths import elementary
 from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record

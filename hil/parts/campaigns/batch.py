@@ -18,9 +18,8 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
-from hil.gnc_backends.backend_registry import NO_BACKENDS, named
+from hil.gnc_backends.backend_registry import NO_BACKENDS, digest_of, named
 from hil.gnc_backends.library import binary_digest
-from hil.gnc_backends.shared_library import digest_of
 from hil.maths.random_streams import MixedSeed
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.importance_density import LOG_WEIGHT, ImportanceDensity, block_normals

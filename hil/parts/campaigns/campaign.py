@@ -17,7 +17,7 @@ import numpy as np
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
-from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.config.tables.verdict import PART_COLUMNS, required_parts
 from hil.core.kernel_digest import digest_of
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import OwnBackends

@@ -38,8 +38,8 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import integrity as integrity_params
 from hil.params.ready import settled_s
-from hil.safety.guard_alarms import breach_alarm
 from hil.safety.monitor import SafetyLimits, hold_trip, safety_limits
+from hil.safety.motion_guards import breach_alarm
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.model import VISION_NOISE
 from hil.session.assembly import axes_at_start, draw_initial_imu_errors

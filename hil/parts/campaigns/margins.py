@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
-from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.config.tables.verdict import PART_COLUMNS, required_parts
 from hil.loop.runner import COMPLETED
 from hil.parts.campaigns.campaign import CampaignJob
 from hil.parts.campaigns.engines import Engine

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.config.tables.required_parts import PART_COLUMNS
+from hil.config.tables.verdict import PART_COLUMNS
 from hil.core.alarms import Alarm
 from hil.core.messages import Array
 from hil.gnc.decision_verdict import ACCUSED
@@ -33,7 +33,7 @@ from hil.report.limits import (
 from hil.report.results import Energy
 from hil.report.verdict import control_precision, is_accepted, verdict_of
 from hil.report.verdict_parts import energy_part, navigation_means, propellant_kg, security_part
-from hil.safety.guard_alarms import is_of_guard
+from hil.safety.motion_guards import is_of_guard
 
 _AXES: Final = ("x", "y", "z")
 _TRIPLES: Final = (

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.tables.required_parts import PART_COLUMNS
+from hil.config.tables.verdict import PART_COLUMNS
 from hil.core.files import MIB, parse_json, read_text, write_text
 from hil.errors import BadInput, one_line
 from hil.parts.campaigns.explain import Cases, command_of, dispersed_names, explain

@@ -11,7 +11,7 @@ import numpy as np
 from hil.bench.kinematics import pose_of_axes
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.tables.imu_wire import UDP
+from hil.config.tables.wires import UDP
 from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.line_protocol import LineProtocol

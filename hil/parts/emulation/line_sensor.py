@@ -55,7 +55,6 @@ class LineSensorEmulator:
         return {self._name: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
         line = self._line
         number = math.ceil(self._clock.now_s() * self._rate_hz)
         while not stop.is_set():

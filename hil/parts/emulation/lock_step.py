@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from hil.core.child_process import child_of
 from hil.core.clock import Order
-from hil.core.stacks import Stack, place_in
+from hil.core.plug_ins import Stack, place_in
 from hil.errors import LinkTimeout
 from hil.parts.emulation import lock_step_page as pages
 

@@ -6,7 +6,7 @@ import threading
 from typing import Any, Final
 
 from hil.config.rig import LinearAxes
-from hil.config.tables.rail_wires import ModbusRtu
+from hil.config.tables.wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.drivers.rails.codec import DriveIdentity, RegisterMap
 from hil.drivers.rails.drive import tcp_axes

@@ -12,7 +12,7 @@ import numpy as np
 from hil.bench.field_of_view import camera_errors
 from hil.bench.manipulator import relative_axes
 from hil.config.rig import Rig
-from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
+from hil.config.tables.machine import FULL_SCALE, BenchScale
 from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE

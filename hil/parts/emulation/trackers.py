@@ -31,6 +31,7 @@ from hil.parts.tracker.table import Tracker
 
 NAME: Final = "tracker"
 _TICKS_HZ: Final = 10_000_000.0
+_DATA_PORT: Final = 1511
 _FORGOTTEN_S: Final = 10.0  # after a client's last message, of unicast
 _LISTENED_WALL_S: Final = 0.05
 _CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is dropped
@@ -60,13 +61,13 @@ class TrackerServer(Protocol):
 
 
 class NatNetServer:
-    """Server of NatNet by unicast, or to ``group``. version: of its stream. latency_s: from exposure to sending."""
+    """Server of NatNet by unicast. version: of its stream. latency_s: from exposure to sending."""
 
-    def __init__(self, version: tuple[int, int], latency_s: float, group: str = "", port: int = 1511) -> None:
+    def __init__(self, version: tuple[int, int], latency_s: float) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self.address = "{}:{}".format(*self._socket.getsockname())
-        self._info = natnet.NatNetInfo(version, _TICKS_HZ, port, group)
+        self._info = natnet.NatNetInfo(version, _TICKS_HZ, _DATA_PORT, "")
         self._latency_s = latency_s
         self._ahead_s = 0.0
         self._clients: dict[tuple[str, int], float] = {}
@@ -228,7 +229,6 @@ class TrackerEmulator:
         return {NAME: self._server.address}
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
         rate_hz, number = self._config.rate_hz, 0
         while not stop.is_set():
             number = max(number + 1, int(np.ceil(self._clock.now_s() * rate_hz - _CATCHES_UP)))

@@ -13,9 +13,8 @@ from hil.config.rig import Rig
 from hil.config.tables.machine import PARAMETERS
 from hil.core.messages import Array
 from hil.maths import quat
-from hil.params.bench import bench
+from hil.params.bench import bench, set_geometry
 from hil.params.bench_budget import STEP, machines_about
-from hil.params.geometry import set_geometry
 from hil.sensors.mounting import MOUNTING
 from hil.sensors.vision_unit.parameters import mounting_of
 

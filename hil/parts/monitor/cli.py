@@ -24,8 +24,8 @@ from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.scene import Scene
-    from hil.parts.monitor.region import Region
     from hil.parts.monitor.results import FrameResult, Portion
+    from hil.parts.monitor.settings import Region
     from hil.parts.monitor.sources import Source
 
 _PASSED = 0
@@ -140,7 +140,7 @@ def _rate_of(source: Source) -> str:
 
 def _region(roi: str | None, scene: Scene) -> Region | None:
     """Return the operator's region "u,v,width,height", px, or None."""
-    from hil.parts.monitor.region import Region
+    from hil.parts.monitor.settings import Region
 
     if roi is None:
         return None

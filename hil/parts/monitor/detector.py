@@ -19,7 +19,7 @@ from hil.parts.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_patte
 from hil.parts.monitor.kernels.pose import UNKNOWNS
 from hil.parts.monitor.polygon_detection import PolygonCandidate, find_polygons
 from hil.parts.monitor.preprocess import Prepared
-from hil.parts.monitor.region import Region
+from hil.parts.monitor.settings import Region
 
 Floats = NDArray[np.float64]
 

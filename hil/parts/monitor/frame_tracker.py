@@ -20,9 +20,8 @@ from hil.parts.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.parts.monitor.kernels.pose import GROWTH, UNKNOWNS
 from hil.parts.monitor.motion import NOT_ESTIMATED, Motion
 from hil.parts.monitor.preprocess import LEAST_CONTRAST, prepare
-from hil.parts.monitor.region import Region
 from hil.parts.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
-from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.settings import MonitorSettings, Region
 from hil.parts.monitor.sources import LOWER, UPPER, Image, VideoFrame, lines_of
 
 Floats = NDArray[np.float64]

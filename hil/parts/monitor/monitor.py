@@ -22,7 +22,6 @@ from hil.parts.monitor.field_check import FieldCheck
 from hil.parts.monitor.frame_tracker import FrameTracker
 from hil.parts.monitor.kernels.quantities import derive
 from hil.parts.monitor.motion import MotionFit, MotionSolution
-from hil.parts.monitor.region import Region
 from hil.parts.monitor.results import (
     AMBIGUOUS,
     ANY_ROLL_QUANTITIES,
@@ -34,7 +33,7 @@ from hil.parts.monitor.results import (
     FrameResult,
     Result,
 )
-from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.settings import MonitorSettings, Region
 from hil.parts.monitor.sources import VideoFrame, exposures_of
 
 REJECTED_FIELDS: Final = "rejected_fields"

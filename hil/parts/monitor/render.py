@@ -170,13 +170,13 @@ class TargetRenderer:
         """Return the image (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
         return self.expose(self.draw(d_m, phi_rad), d_m, phi_rad, t_s, rng)
 
-    def frame(self, number: int, trajectory: Trajectory, rng: np.random.Generator, start_s: float = 0.0) -> VideoFrame:
+    def frame(self, number: int, trajectory: Trajectory, rng: np.random.Generator) -> VideoFrame:
         """Return frame ``number`` of a trajectory: the image, or the field exposed at that time."""
         t_s, field = exposure(self.scene, number)
-        image = self.image(*trajectory(start_s + t_s), start_s + t_s, rng)
+        image = self.image(*trajectory(t_s), t_s, rng)
         if field != WHOLE:
             image = np.ascontiguousarray(image[lines_of(field)])
-        return VideoFrame(number, start_s + t_s, image, field)
+        return VideoFrame(number, t_s, image, field)
 
     def _spots(self, d: Floats, phi: Floats) -> Floats:
         a = docking_view.attitude(phi)
@@ -200,9 +200,9 @@ def blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
 
 
 def film(
-    renderer: TargetRenderer, trajectory: Trajectory, images: int, rng: np.random.Generator, start_s: float = 0.0
+    renderer: TargetRenderer, trajectory: Trajectory, images: int, rng: np.random.Generator
 ) -> Iterator[VideoFrame]:
     """Yield the frames of ``images`` images along a trajectory at the scene's rate; two fields each if interlaced."""
     halves = 1 if renderer.scene.fields == "whole" else 2
     for number in range(halves * images):
-        yield renderer.frame(number, trajectory, rng, start_s)
+        yield renderer.frame(number, trajectory, rng)

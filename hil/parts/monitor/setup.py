@@ -28,10 +28,9 @@ from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.search_region import Box, SearchRegion
 from hil.parts.monitor.camera import RenderedCamera
 from hil.parts.monitor.monitor import DockingMonitor
-from hil.parts.monitor.region import Region
 from hil.parts.monitor.results import PORTION, Portion, portion_of, portion_row
 from hil.parts.monitor.screen.overlay import annotated_shapes
-from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.settings import MonitorSettings, Region
 from hil.parts.monitor.sources import WHOLE, VideoFrame
 
 NAME: Final = "docking monitor"

@@ -63,7 +63,6 @@ class NatNetClient:
         self._alive_s = time.monotonic()
 
     def read(self) -> Iterator[TrackedFrame]:
-        """Yield the frames that arrive within a bounded wait."""
         for each in select.select(self._sockets, [], [], _READ_WALL_S)[0]:
             message = each.recv(_BYTES)
             received_s = self._now_s()
@@ -115,7 +114,6 @@ class QtmClient:
             raise
 
     def read(self) -> Iterator[TrackedFrame]:
-        """Yield the frames that arrive within a bounded wait."""
         if not self._pending and select.select([self._socket], [], [], _READ_WALL_S)[0]:
             self._receive()
         received_s = self._now_s()
@@ -157,7 +155,6 @@ class TextClient:
         self._port = DatagramPort(clock, *config.address, _READ_WALL_S)
 
     def read(self) -> Iterator[TrackedFrame]:
-        """Yield the frames that arrive within a bounded wait."""
         data = self._port.read()
         received_s = self._now_s()
         for decoded in self._decoder.feed(data, received_s) if data else ():

@@ -12,7 +12,7 @@ from hil.core.messages import AXES, Array, new
 from hil.errors import BadInput
 from hil.loop.bench_stage import Move
 from hil.maths import euler, quat
-from hil.safety.jog_guard import JogGuard
+from hil.safety.motion_guards import JogGuard
 from hil.vmu.calibration.model import Setup, TurntableModel, project_view
 from hil.vmu.calibration.refine import Prior
 from hil.vmu.kernels.chain import CAMERA_POSITION, TARGET_POSITION

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from serial.tools import list_ports
 
+from hil.config.load import Loaded
 from hil.config.rig import AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.host import ClockConfig
@@ -24,10 +25,9 @@ from hil.drivers.returned import checked_feedback, checked_frames
 from hil.drivers.serial_port import latency_timer_ms
 from hil.drivers.split_axes import RigDrivers, make_drivers
 from hil.drivers.wire_lock import locked_wires
-from hil.errors import BenchError, DeviceError, LinkTimeout
+from hil.errors import BenchError, DeviceError, LinkTimeout, Problem
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
-from hil.parts.wires.clock import ptp_problem
 from hil.preflight.check import PreflightCheck
 
 _FIRST_SAMPLE_S = 5.0
@@ -261,3 +261,23 @@ def ptp_check(clock: ClockConfig) -> PreflightCheck:
     return PreflightCheck(
         "PTP", not problem, problem or f"{value}, allowed {clock.ptp_max_offset_us:g} us", advice if problem else ""
     )
+
+
+def check_clock(_: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if the clock is farther from its PTP master than ``clock.ptp_max_offset_us``.
+
+    A mock rig has no clock that could be synchronised.
+    """
+    fault = "" if rig.value.kind == "mock" else ptp_problem(rig.value.clock)
+    key = "clock.ptp_max_offset_us"
+    return [Problem(rig.where(key), f"rig.{key}", f"{rig.value.clock.ptp_max_offset_us:g}: {fault}")] if fault else []
+
+
+def ptp_problem(clock: ClockConfig) -> str:
+    """Return why the clock does not keep the limit of ``clock``, "" if it does, or if there is none."""
+    if clock.ptp_max_offset_us is None:
+        return ""
+    try:
+        return read_status(clock.ptp_socket, clock.ptp_domain).problem(1e-6 * clock.ptp_max_offset_us)
+    except DeviceError as error:
+        return str(error)

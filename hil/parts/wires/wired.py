@@ -17,8 +17,8 @@ from hil.core.clock import BenchClock, WallClock
 from hil.core.fork_server import ForkServer
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
+from hil.core.plug_ins import place_in
 from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
-from hil.core.stacks import place_in
 from hil.drivers.imu.driver import WiredImu
 from hil.drivers.remote.io_layout import IO
 from hil.drivers.remote.processes import IoProcesses
@@ -29,9 +29,8 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import LockStepRate, Rate, WallClockRate
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
-from hil.parts.wires.datagram_sensors import open_datagrams
-from hil.parts.wires.line_sensors import line_sensors
 from hil.parts.wires.meters import ClockWatch, ExchangeRates
+from hil.parts.wires.sensors import line_sensors, open_datagrams
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.session.assembly import Devices, Job, assemble
 
@@ -145,9 +144,9 @@ class WiredBench:
         for process in self._all_processes.values():
             process.log_traceback()
 
-    def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
+    def axes_runner(self) -> Runner:
         """Return a Runner without recording, which only moves the axes."""
-        parts = SessionParts(operator, on_progress)
+        parts = SessionParts()
         self.connect(parts)
         return self._assembled(parts, self._rate())
 

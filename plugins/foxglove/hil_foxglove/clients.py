@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from hil.config.load import configs_folder
 from hil.core.child_process import ChildProcess
-from hil.core.typed_answers import ANSWER_S, FreshDigits
+from hil.core.operator_commands import ANSWER_S, FreshDigits
 from hil.errors import BadInput
 from hil.parts.console.lease import RequestRejected
 from hil.parts.console.live_view import Client

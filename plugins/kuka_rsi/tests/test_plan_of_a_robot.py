@@ -9,7 +9,7 @@ import pytest
 
 import hil_kuka_rsi
 from hil.checks.arm import check_arm
-from hil.checks.unseen import unseen_warnings
+from hil.checks.before_run import unseen_warnings
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.arm.mock import MockRobots
 from hil.errors import BadInput, DeviceError

@@ -17,7 +17,7 @@ from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, NAVIGATION, POSE, TRUTH, new
 from hil.maths import quat
 from hil.params import bench as bench_params
-from hil.safety.guard_alarms import breach_alarm
+from hil.safety.motion_guards import breach_alarm
 
 STEP_S = 0.02
 

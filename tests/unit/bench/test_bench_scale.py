@@ -7,7 +7,7 @@ import pytest
 
 from hil.bench.kinematics import axes_of_pose, pose_of_axes, show
 from hil.config.load import load_rig
-from hil.config.tables.bench_scale import BenchScale
+from hil.config.tables.machine import BenchScale
 from hil.core.messages import AXES, Array, new
 from hil.maths import quat
 from hil.params import bench as bench_params

@@ -13,8 +13,7 @@ from hil.config.rig import Rig
 from hil.config.tables.machine import NAMES, PARAMETERS, ROTATIONS, parts_of
 from hil.core.messages import AXES, Array, new
 from hil.maths import quat
-from hil.params.bench import bench
-from hil.params.geometry import set_geometry
+from hil.params.bench import bench, set_geometry
 from tests.support.machine import axes_within, twelve_errors
 
 STEP_S = 0.02

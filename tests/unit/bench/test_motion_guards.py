@@ -31,7 +31,7 @@ from hil.config.rig import BENCH_AXES
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, new
 from hil.params import bench as bench_params
-from hil.safety.guard_alarms import breach_alarm
+from hil.safety.motion_guards import breach_alarm
 
 DT = 0.02
 

@@ -23,7 +23,7 @@ def test_the_levels_of_a_flight_are_above_the_least_ones_and_near_them(name: str
     runner = CaseRunner(scenario, RIG, scenario.duration_s)
     runner.run(scenario, 3)
     flown = np.array(runner._state.gnc.navigation.integrity.go_m)
-    least = least_levels(scenario, RIG)
+    least, _, _ = least_levels(scenario, RIG)
     assert (flown > least).all()
     assert (flown < 2.0 * least).all()
 

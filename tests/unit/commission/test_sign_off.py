@@ -16,8 +16,8 @@ from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
+from hil.core.operator_commands import FreshDigits
 from hil.core.operator_keys import OperatorKey, write_operators
-from hil.core.typed_answers import FreshDigits
 from hil.parts.commissioning.cli.commission import Terminal
 from hil.parts.commissioning.sign_off import as_toml, signed_before
 from hil.parts.commissioning.steps import AxisFindings, Findings

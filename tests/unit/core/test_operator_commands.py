@@ -8,8 +8,15 @@ from itertools import product
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, TerminalOperator
-from hil.core.typed_answers import ANSWER_S, FreshDigits
+from hil.core.operator_commands import (
+    ANSWER_S,
+    AutoResumeOperator,
+    FreshDigits,
+    JogRequest,
+    Operator,
+    OperatorCommand,
+    TerminalOperator,
+)
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
@@ -36,6 +43,17 @@ def test_plan_waits_for_its_modes_and_does_not_count_as_an_order_that_waits() ->
     assert operator.next_command(Mode.STANDBY) is None
     assert operator.next_command(Mode.ARMED) is OperatorCommand.START
     assert operator.next_command(Mode.ARMED) is None
+
+
+def test_unattended_operator_resumes_once_from_each_hold() -> None:
+    operator, modes = AutoResumeOperator(), iter((Mode.RUNNING, Mode.HOLD, Mode.HOLD))
+    operator.mode = lambda: next(modes)
+    operator.cancel_auto_sequence()
+    for _ in range(3):
+        operator.poll(0.0)
+    assert operator.can_resume
+    assert operator.pop(Mode.HOLD) is OperatorCommand.RESUME
+    assert operator.pop(Mode.HOLD) is None
 
 
 def test_dropped_plan_gives_no_orders() -> None:

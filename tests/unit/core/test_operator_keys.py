@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hil.cli.main import execute
 from hil.core.operator_keys import (
     OperatorKey,
     new_challenge,
@@ -73,3 +74,21 @@ def test_proof_fits_one_key_one_challenge_one_console_and_one_page() -> None:
 
 def test_new_keys_differ() -> None:
     assert len({new_key("ann").secret for _ in range(100)}) == 100
+
+
+def test_command_enters_each_operator_once_and_keeps_keys_that_exist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert execute(["operators", "add", "ann lee", "--address", "192.168.1.30"]) == 0
+    ann = read_key("ann-lee.key")
+    assert execute(["operators", "add", "bob", "--rights", "watch"]) == 0
+    assert execute(["operators", "list"]) == 0
+    assert capsys.readouterr().out.count("ann lee") == 2
+    assert execute(["operators", "add", "Ann Lee", "--out", "ann-lee.key"]) == 2
+    refused = capsys.readouterr().err
+    assert "operators.toml: Ann Lee: is there already" in refused
+    assert "ann-lee.key: exists already" in refused
+    entered = {(key.name, key.rights, key.addresses) for key in read_operators("operators.toml").values()}
+    assert entered == {("ann lee", "command", ("192.168.1.30",)), ("bob", "watch", ())}
+    assert ann.id in read_operators("operators.toml")

@@ -12,8 +12,18 @@ import numpy as np
 import pytest
 
 from hil.core import plug_ins
-from hil.core.plug_ins import Calls, call, is_debugged, is_of, is_users, method_text, plug_in_error, wrong_return
-from hil.core.stacks import Stack, place_in
+from hil.core.plug_ins import (
+    Calls,
+    Stack,
+    call,
+    is_debugged,
+    is_of,
+    is_users,
+    method_text,
+    place_in,
+    plug_in_error,
+    wrong_return,
+)
 from hil.errors import LinkLost, PlugInError
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from docs import record_pages
 from docs.record_pages import markdown_table
-from hil.core import gnc_records, manipulator_records, messages
+from hil.core import gnc_records, messages
 from hil.core.fields import Field, Fields, leaf_fields, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
 from hil.parts.monitor import results
@@ -67,15 +67,15 @@ def test_page_shows_the_layout_of_a_record(name: str) -> None:
     assert table in record_pages.records()
 
 
-@pytest.mark.parametrize("fields", [manipulator_records.GIMBALS_FIELDS, manipulator_records.MANIPULATOR_SAMPLE_FIELDS])
+@pytest.mark.parametrize("fields", [messages.GIMBALS_FIELDS, messages.MANIPULATOR_SAMPLE_FIELDS])
 def test_page_shows_the_layout_of_the_axes_of_a_rotated_target(fields: Fields) -> None:
     assert markdown_table(fields) in record_pages.records()
-    assert layout(manipulator_records.MANIPULATOR_SAMPLE) == (304, "2e37f8e27cd8")
+    assert layout(messages.MANIPULATOR_SAMPLE) == (304, "2e37f8e27cd8")
 
 
 def test_page_shows_the_layout_of_axes_that_are_held() -> None:
-    assert markdown_table(manipulator_records.HELD_SAMPLE_FIELDS) in record_pages.records()
-    assert layout(manipulator_records.HELD_SAMPLE) == (168, "77c100417314")
+    assert markdown_table(messages.HELD_SAMPLE_FIELDS) in record_pages.records()
+    assert layout(messages.HELD_SAMPLE) == (168, "77c100417314")
 
 
 def test_nested_records_are_expanded_with_dotted_names() -> None:

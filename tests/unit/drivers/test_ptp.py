@@ -13,8 +13,9 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, data_of, read_status, request
 from hil.errors import BadInput, LinkLost, LinkTimeout
-from hil.parts.wires.clock import check_clock
-from hil.parts.wires.devices import ptp_check
+from hil.parts.wires.devices import check_clock, ptp_check
+from hil.parts.wires.meters import ClockWatch
+from hil.report.table import _clocks_text
 
 TRANSCRIPT = bytes.fromhex(  # response of ptp4l 3.1.1 to GET TIME_STATUS_NP: offset -45 ns, with a master
     "0d020068000000000000000000000000000000004a6fc0fffe3224cb0000000004" "7f" "68696c62656e636800010000" "0200"
@@ -83,6 +84,9 @@ def test_state_offset_and_delay_are_read_from_the_socket(daemon: Daemon) -> None
     assert (found.state, found.grandmaster) == ("slave", "ee0590fffe2e5fbf")
     assert found.offset_s == pytest.approx(1.5e-6)
     assert found.path_delay_s == pytest.approx(2.148e-6)
+    clocks = ClockWatch(load_rig("emulated", limited(daemon.path, 2.0)).value.clock).numbers()
+    assert clocks["ptp"]["begin"] == clocks["ptp"]["end"] == found.as_json()
+    assert "PTP slave, offset 1.5 and 1.5 us at begin and end; system time" in _clocks_text(clocks, {})
 
 
 def test_a_run_is_refused_beyond_the_limit_and_accepted_within_it(daemon: Daemon) -> None:
@@ -113,6 +117,8 @@ def test_a_daemon_that_does_not_answer_is_named(tmp_path: Path) -> None:
 def test_a_port_without_master_is_not_synchronised_and_a_master_is() -> None:
     assert PtpStatus("listening", 0.0, 0.0, "").problem(1.0) == "listening, no master"
     assert PtpStatus("master", 0.0, 0.0, "").problem(1e-9) == ""
+    assert [str(PtpStatus(state, 2e-6, 0.0, "")) for state in ("listening", "master")] == ["listening", "master"]
+    assert str(PtpStatus("slave", 2e-6, 0.0, "ee05")) == "slave of ee05, offset 2 us"
 
 
 @pytest.mark.parametrize("setting", ["ptp_max_offset_us=0", "ptp_max_offset_us=-1.0", "ptp_domain=200", "ptp=1"])

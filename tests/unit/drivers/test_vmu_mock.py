@@ -76,6 +76,8 @@ def test_slow_unit_times_out_and_comes_back() -> None:
     with pytest.raises(LinkTimeout, match=r"vmu: no answer for 0.410 s, allowed 0.4 s"):
         vmu.poll(0.91)
     assert len(vmu.poll(1.0)) == 1
+    late = opened(Transport(np.random.default_rng(0), 0.2, 0.1), now_s=0.5, rate_hz=1.0, timeout_s=0.4)
+    assert late.poll(1.19) == []  # the first frame may still be under way for 0.3 s
 
 
 def test_ring_out_of_sight_is_counted_and_is_no_silence() -> None:

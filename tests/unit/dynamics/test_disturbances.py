@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.flexible_array import MODES, add_bending, bending
+from hil.dynamics.mass_properties import MODES, add_bending, bending
 from hil.dynamics.orbit import state_of_elements
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
-from hil.dynamics.solar_pressure import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force
+from hil.dynamics.sunlight import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force
 from hil.dynamics.thrusters import as_built
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat

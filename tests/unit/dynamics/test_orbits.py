@@ -14,8 +14,8 @@ from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import orbit_forces
 from hil.dynamics import truth as kernels
-from hil.dynamics.eclipse import visible_sun
 from hil.dynamics.orbit_forces import ORBIT_FORCES
+from hil.dynamics.sunlight import visible_sun
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.errors import BadInput
 from hil.maths import quat

@@ -16,7 +16,7 @@ from hil.dynamics import truth as kernels
 from hil.dynamics.target_attitude import TARGET_ATTITUDE, limit_cycle, tumble
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import euler, quat
-from hil.maths.elliptic import STEPS, jacobi_into, landen_moduli
+from hil.maths.special import STEPS, jacobi_into, landen_moduli
 from hil.models.rotating_frame import euler_acceleration, tumble_rate
 from hil.params import dynamics as dynamics_params
 from hil.params import target as target_params

@@ -82,6 +82,8 @@ def test_layout_distinguishes_other_fields_of_the_same_size_and_not_other_names(
     assert layout_of(ours) == layout_of(np.dtype([("x", "f8", 2), ("y", "i4", 2)]))
     assert layout_of(ours) != layout_of(np.dtype([("a", "f8", 2), ("b", "f4", 2)]))
     assert layout_of(ours) != layout_of(np.dtype([("b", "i4", 2), ("a", "f8", 2)]))
+    expanded = np.dtype([("a1", "f8", 2), ("b1", "i4", 2), ("a2", "f8", 2), ("b2", "i4", 2)])
+    assert layout_of(np.dtype([("both", ours, 2)])) == layout_of(expanded)
 
 
 def test_hello_comes_back() -> None:

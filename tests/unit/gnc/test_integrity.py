@@ -166,6 +166,17 @@ def test_ramp_is_no_larger_than_the_dynamics_permit(params: np.record) -> None:
     assert state.followed > bounded
 
 
+def test_gains_within_a_minute_of_a_change_of_the_dynamics_do_not_count(params: np.record) -> None:
+    state, fused, followed = new(INTEGRITY_STATE), new(FUSION_STATE), []
+    fused.accepted, fused.gain_position, fused.gain_velocity, fused.interval_s = 10_001, 0.03, 0.003, 0.16
+    fused.thrust.jumped = 2000
+    for cycle, gain in ((2000, 0.03), (2100, 0.1), (5000, 0.1)):  # 0 s, 2 s, and 60 s after it
+        fused.cycle, fused.gain_position = cycle, gain
+        integrity.follow(params, state, fused, 0.02)
+        followed.append(float(state.followed))
+    assert followed[0] == followed[1] != followed[2]
+
+
 def test_level_is_not_larger_when_poses_return_after_a_gap(params: np.record) -> None:
     state = new(INTEGRITY_STATE)
     state.followed, state.followed_speed = 1.0, 0.1

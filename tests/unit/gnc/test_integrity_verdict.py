@@ -10,6 +10,7 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import CYCLE
+from hil.gnc.limits import ERROR
 from hil.loop.compiled.run_stats import counted
 from hil.params import integrity as integrity_params
 from hil.report.integrity import SafeStop, detection, integrity_part
@@ -46,7 +47,8 @@ def test_error_beyond_its_alert_limit_misleads_after_the_time_to_alert(
 ) -> None:
     history = rows(10.0, range_m)
     history["navigation"]["r_CT_H"][100:300, axis] += error_m
-    _, part = judged(history)
+    state, part = judged(history)
+    assert state.limits.broken_s[ERROR + axis] == history["t_s"][151]
     assert part.hmi_cycles == part.hmi_by_line1_only == 200 - 51  # of 4 s, less 1.0 s
     assert part.time_to_alert_s == pytest.approx(199 * STEP_S)
     assert part.worst_error_m == pytest.approx(error_m)

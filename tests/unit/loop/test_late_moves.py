@@ -21,6 +21,8 @@ LATE_CYCLE, LATE_S = 200, 0.1
 class LateRate(SimulatedRate):
     """One cycle is late by ``LATE_S``."""
 
+    pause_s = 0.0
+
     def wait(self) -> Tick:
         if self.executed == LATE_CYCLE:
             self._zero_s += LATE_S

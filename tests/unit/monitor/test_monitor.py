@@ -15,10 +15,9 @@ from hil.errors import BadInput
 from hil.parts.monitor.kernels.quantities import quantities
 from hil.parts.monitor.monitor import DockingMonitor
 from hil.parts.monitor.preprocess import bimodal_threshold
-from hil.parts.monitor.region import Region
 from hil.parts.monitor.render import Conditions, FlatShape, Glare, TargetRenderer, film, rectangle
 from hil.parts.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
-from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.settings import MonitorSettings, Region
 from hil.parts.monitor.sources import VideoFrame, exposure, exposures_of
 
 PLAIN = Conditions(noise=PixelNoise(read=3.0, k=0.02))

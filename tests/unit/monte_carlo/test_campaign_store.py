@@ -66,6 +66,9 @@ def test_folder_of_another_campaign_is_refused(tmp_path: Path) -> None:
     (tmp_path / "full" / "thesis.txt").write_text("mine")
     with pytest.raises(BadInput, match="is not empty and holds no campaign"):
         Store(tmp_path / "full", IDENTITY, ["a"])
+    for path, reason in (("thesis.txt", "is no folder"), ("thesis.txt/c", "Not a directory")):
+        with pytest.raises(BadInput, match=f"full/{path}: {reason}$"):
+            Store(tmp_path / "full" / path, IDENTITY, ["a"])
 
 
 def test_full_disk_stops_cleanly_and_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hil.config.load import load_scenario, shipped
 from hil.config.scenario import Scenario
-from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.config.tables.verdict import PART_COLUMNS, required_parts
 from hil.errors import BadInput
 from hil.parts.campaigns.outcome import FLAGS
 from hil.report.results import RunResults

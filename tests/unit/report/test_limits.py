@@ -71,7 +71,9 @@ def test_value_of_a_stop_has_its_unit(alarm: Alarm, name: str, unit: str) -> Non
 
 
 def test_alarm_that_holds_the_approach_to_the_end_is_the_cause() -> None:
-    found = flown(make_job(15.0, ["gnc.integrity.cusum_limit_sigmas=4.0", "gnc.integrity.mean_shift_sigmas=0.02"]))
+    gnc = "gnc.integrity.cusum_limit_sigmas=4.0", "gnc.integrity.mean_shift_sigmas=0.02"
+    found = flown(make_job(15.0, [*gnc, "requirements.propellant_factor=0.5"]))  # the propellant is judged at the end
+    assert found["limits"]["propellant"]["margin"] < 0.0
     assert found["first_violated"] == "vision_suspect"
     assert f"vision_suspect {found['first_violated_s']:.2f} s" in found["alarms_before"]
     assert sentence(found).startswith("the vision suspect ends the approach, at ")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.safety.estop import EmergencyStop
+from hil.safety.monitor import EmergencyStop
 
 IN, OUT, UNKNOWN = True, False, None
 

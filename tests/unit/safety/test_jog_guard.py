@@ -8,7 +8,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AXES, new
 from hil.params import bench as bench_params
-from hil.safety.jog_guard import JogGuard
+from hil.safety.motion_guards import JogGuard
 
 JOG_MPS = 0.05
 

@@ -12,7 +12,7 @@ import pytest
 
 from hil.config.tables.sensors import SensorConfig
 from hil.errors import BadInput
-from hil.parts.wires.datagram_sensors import UdpSamples
+from hil.parts.wires.sensors import UdpSamples
 
 NOW_S, BENCH_S, ZERO_S = 1000.0, 50.0, 20.0
 

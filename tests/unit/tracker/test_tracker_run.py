@@ -39,6 +39,8 @@ def test_run_has_rows_numbers_and_a_section_and_keeps_its_bits(tmp_path: Path) -
     assert truth["counts"]["ok"] > 900
     (section,) = [each for each in sections_of(run.summary) if each.title == "Tracker"]
     assert [row[0] for row in section.rows] == ["commanded", "encoders", "tracker"]
+    others = [f"{n} {name}" for name, n in truth["counts"].items() if name != "ok"]
+    assert f"rejected {', '.join(others) or 'none'}, longest" in section.notes[0]
     rows = hil.open(run.summary["recording"]["file"]).rows_of("tracker_samples")
     assert set(rows.body) == {0, 1}
     assert (rows.status == 0).all()

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 import hil.vmu
+from docs.vmu_statuses import STATUSES
 from hil.vmu import identify, unit
-from hil.vmu.statuses import STATUSES
 
 SOURCES = Path(hil.vmu.__file__).parent.rglob("*.py")
 

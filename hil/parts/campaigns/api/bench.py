@@ -22,8 +22,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
 from hil.core.fields import record_dtype
-from hil.core.manipulator_records import GIMBALS_FIELDS
-from hil.core.messages import new
+from hil.core.messages import GIMBALS_FIELDS, new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.core.plug_ins import raised_text
@@ -211,6 +210,7 @@ class Bench:
         """The whole run, once the session has ended; None before, and without a session."""
         self._requirements: list[RunRequirement] = []
         self._latest: Run | None = None
+        self._ordered_hold = False
 
     def __enter__(self) -> Self:
         compile_kernels(self._job, log.warning)
@@ -361,7 +361,8 @@ class Bench:
         return self._fly(OperatorCommand.RESUME, until, timeout_s)
 
     def hold(self) -> None:
-        """Brake all axes and hold the run's time; for another thread than that which waits in ``start``."""
+        """Brake all axes and hold the run's time; ``start``, which another thread waits in, then returns the run."""
+        self._ordered_hold = True
         self._operator.submit(OperatorCommand.HOLD)
 
     def stop(self) -> None:
@@ -390,6 +391,7 @@ class Bench:
         if not (until in ("ready", "end") or jobs.is_positive(until)):
             raise BadInput.single(command.value, "until", f'{until!r:.60}: must be "ready", "end" or a time above 0 s')
         reached, outcome = False, cast("Outcome | None", None)
+        self._ordered_hold = False
 
         def hold_when_reached(runner: Runner, _: float) -> None:
             nonlocal reached
@@ -399,7 +401,7 @@ class Bench:
 
         def ended(runner: Runner, now_s: float) -> bool:
             nonlocal outcome
-            if not (reached and runner.safety.modes.mode is Mode.HOLD):
+            if not ((reached or self._ordered_hold) and runner.safety.modes.mode is Mode.HOLD):
                 return False
             if runner.loop.bench.at_rest(now_s):
                 outcome = runner.outcome(_ON_HOLD)  # in the loop's thread

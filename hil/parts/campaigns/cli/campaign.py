@@ -224,7 +224,7 @@ def _title(summary: dict[str, Any]) -> str:
 
 
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
-    from hil.config.tables.required_parts import PART_COLUMNS
+    from hil.config.tables.verdict import PART_COLUMNS
     from hil.parts.campaigns.cli.explain import false_alarms_text
     from hil.parts.campaigns.requirements_page import limit_text, result_text
 

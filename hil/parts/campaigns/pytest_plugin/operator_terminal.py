@@ -7,7 +7,7 @@ import select
 import time
 from typing import Final
 
-from hil.core.typed_answers import FreshDigits, confirmed
+from hil.core.operator_commands import FreshDigits, confirmed
 from hil.errors import BadInput, BenchError
 
 _ANSWER_WALL_S: Final = 600.0

@@ -15,8 +15,8 @@ from rich.console import Console
 from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
 from hil.cli.output import base_of, chosen_axes, say
 from hil.core.files import write_text
+from hil.core.operator_commands import FreshDigits, confirmed
 from hil.core.part import provided
-from hil.core.typed_answers import FreshDigits, confirmed
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Samples of sensors that programs of the user's own send as UDP datagrams: one JSON object each.
+"""Samples of sensors on serial wires, and of those that programs of the user's own send: one JSON object a datagram.
 
     {"t_s": 12.34, "value": [...], "covariance": [[...], ...], "status": 0}
 
@@ -19,17 +19,20 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.core.clock import BenchClock, WallClock
 from hil.core.messages import PoseFrame
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.datagrams import DatagramPort
+from hil.drivers.line_sensor.driver import LineSensor, LineSettings
 from hil.drivers.serial_port import is_counted
 from hil.drivers.vmu.codecs import frame_codec
-from hil.errors import BadInput, one_line
+from hil.errors import BadInput, LinkLost, one_line
 from hil.maths import linear, quat
 from hil.params.sensors import sensors_of
+from hil.session.sample_sources import wired_sensors
 
 _BYTES_MAX: Final = 4096
 _PER_POLL: Final = 16
@@ -176,3 +179,21 @@ def open_datagrams(scenario: Scenario, clock: BenchClock) -> list[UdpSamples]:
             source.close()
         raise
     return sources
+
+
+def line_sensors(scenario: Scenario, rig: Rig, clock: BenchClock) -> list[LineSensor]:
+    """Return the open ports of the scenario's sensors on ``rig``. clock: bench time. Raises LinkLost."""
+    sensors: list[LineSensor] = []
+    wired = wired_sensors(scenario, rig)
+    try:
+        for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
+            if name in wired and config.source != "udp" and kind.module.wire is not None:
+                line = rig.sensors[name]
+                settings = LineSettings(line.port or "", line.baud, config.latency_s)
+                device = device_of(name)
+                sensors.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
+    except LinkLost:
+        for source in sensors:
+            source.close()
+        raise
+    return sensors
