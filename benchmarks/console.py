@@ -119,6 +119,7 @@ class Console:
         while self.service.state.mode.value != mode:
             lost = self.service.state.alarms or time.monotonic() > end_s
             assert not lost, f"{mode} did not come: {list(self.service.log_lines)[-3:]}"
+            self._loop.call_soon_threadsafe(self.service.refresh, self._client)  # as a page does
             time.sleep(0.05)
 
     def run_s(self) -> float:
