@@ -36,8 +36,10 @@ def main(rig: str = "emulated", phase_s: float = 20.0) -> None:
             found = re.search(r"foxglove on (ws\S+); code to take the command: (\w+)", lines[1])
             assert found is not None, lines
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            bounds, late = _session(found[1], found[2], phase_s)
-            process.terminate()
+            try:
+                bounds, late = _session(found[1], found[2], phase_s)
+            finally:
+                process.terminate()
             process.wait(60.0)
         recorded = load(next(Path(folder).glob("*.mcap")))
     print(f"{'topic':34}{'per s':>8}{'p50 ms':>9}{'p99 ms':>9}{'max ms':>9}")
@@ -64,17 +66,17 @@ def _session(address: str, code: str, phase_s: float) -> tuple[list[tuple[float,
         def until(mode: str) -> None:
             operator.until(lambda: state("mode") == mode, mode, 120.0)
 
-        def call(service: str, **request: object) -> None:
-            answer = operator.call(f"/hil/{service}", **request)
+        def order(service: str) -> None:
+            answer = operator.confirm(f"/hil/{service}")
             assert answer["ok"], (service, answer)
 
         operator.until(lambda: bool(operator.of("/bench")), "the console", 60.0)
-        call("take", name="benchmark", code=code)
-        call("open", confirmed=True)
+        assert operator.call("/hil/take", name="benchmark", code=code)["ok"]
+        order("open")
         until("standby")
-        call("arm", confirmed=True)
+        order("arm")
         until("armed")
-        call("start", confirmed=True)
+        order("start")
         until("running")
         operator.during(3.0)
         bounds = []
@@ -86,7 +88,7 @@ def _session(address: str, code: str, phase_s: float) -> tuple[list[tuple[float,
             else:
                 operator.during(phase_s)
             bounds.append((begin_s, float(str(state("run_s")))))
-        call("stop")
+        assert operator.call("/hil/stop")["ok"]
         operator.until(lambda: not state("open"), "the end")
     return bounds, late
 

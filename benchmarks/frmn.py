@@ -31,9 +31,8 @@ from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.mailboxes import Role
 from hil.loop.rate_keeper import WallClockRate
 from hil.parts.links.link import Link
-from hil.parts.links.udp_gnc import gnc_link
+from hil.parts.links.udp_gnc import gnc_link, make_udp_gnc
 from hil.session import build
-from hil.session.gnc_setup import make_udp_gnc
 from hil.session.warm_up import warm_up
 
 THERE, BACK = 32 + GNC_INPUT_3.itemsize, 32 + GNC_OUTPUT.itemsize

@@ -80,14 +80,14 @@ def of_leds(chosen: VmuGeometry, range_m: float, rng: np.random.Generator) -> Ca
         left, right = renderer.pair(t, q, None, rng)
         unit.track.drop()
         found = unit.solve(left, right, 0.0)
-        theirs = opencv.solve(left, right, projections(pair, leds, t, q)[0], turn, t)
+        theirs = opencv.solve((left, right), projections(pair, leds, t, q), turn, t)
         if found.pose is None:
             return found.status, None, None, None
         away = found.pose.t_v - t
         small = Rotation.from_quat(found.pose.q_vt) * Rotation.from_quat(q).inv()
         errors = np.concatenate([away, -small.as_rotvec()])
         ratio = errors / np.sqrt(np.diag(found.covariance))
-        return found.status, ratio, away, None if theirs is None else theirs - t
+        return found.status, ratio, away, None if theirs is None else theirs[0] - t
 
     return measure
 
@@ -105,7 +105,7 @@ def of_board(name: str, range_m: float, rng: np.random.Generator) -> Callable[[]
         found = estimator.solve(left, right, 0.0)
         if found.t_v is None:
             return found.status, None, None, None
-        seen = estimator._find(left)
+        seen = next(filter(None, (read(estimator._detect(left)) for read in estimator._readers)))
         points = np.array([estimator._points[k] for k in seen])
         pixels = np.array(list(seen.values()))
         _, _, theirs = cv2.solvePnP(

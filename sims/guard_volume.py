@@ -103,7 +103,7 @@ class RandomJogs(Operator):
 
     def __init__(self, draws: np.random.Generator) -> None:
         super().__init__(plan=(OperatorCommand.HOME,), attended=True)
-        self._draws, self._until_s, self._end_s = draws, -1.0, np.nan
+        self._draws, self._key_until_s, self._end_s = draws, -1.0, np.nan
         self._key = ("rails.x", -1)
 
     def poll(self, now_s: float) -> None:
@@ -113,10 +113,10 @@ class RandomJogs(Operator):
         if now_s > self._end_s:
             self.submit(OperatorCommand.STOP)
             return
-        if now_s > self._until_s:
+        if now_s > self._key_until_s:
             axis = self._draws.choice(["rails.x", "rails.x", "rails.y", "rails.z", "turntable.yaw", "turntable.pitch"])
             direction = -1 if axis == "rails.x" and self._draws.random() < 0.8 else int(self._draws.choice([-1, 1]))
-            self._key, self._until_s = (str(axis), direction), now_s + self._draws.uniform(2.0, 25.0)
+            self._key, self._key_until_s = (str(axis), direction), now_s + self._draws.uniform(2.0, 25.0)
         self.jog(*self._key)
 
 
