@@ -52,11 +52,11 @@ def can() -> str:
 
     from hil.config.load import load_rig
     from hil.core.clock import WallClock
-    from hil.drivers.turntable.cia402 import setup
+    from hil.drivers.turntable.cia402 import node, sdo, setup
     from hil.parts.emulation.shared_state import SharedAxisState
 
     # the processor may be emulated: wall-clock limits are longer, those of bench time by its clock
-    setup.REPLY_WALL_S, setup._ENABLE_WALL_S, setup._RESET_WALL_S = 20.0, 60.0, 5.0
+    sdo.REPLY_WALL_S, node._MODE_WALL_S, setup._RESET_WALL_S = 20.0, 60.0, 5.0
     settings = ('rig.turntable.cia402.interface="socketcan"', 'rig.turntable.cia402.channel="vcan0"')
     table = load_rig("emulated", (*settings, "rig.turntable.timeout_s=5.0")).value.turntable
     clock = WallClock(speed=0.02)
