@@ -102,8 +102,8 @@ TRUTH_MEMORY = np.dtype(
 """What a step keeps for the next ones, zeroed before the first."""
 
 # the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral in c of the
-# specific force beyond the thrust 16:19, eta of the first mode 19, its rate 20, in the nonlinear model r_T_I 21:24,
-# v_T_I 24:27, and eta and rate of each further mode
+# specific force beyond that of the load 16:19, eta of the first mode 19, its rate 20, in the nonlinear model
+# r_T_I 21:24, v_T_I 24:27, and eta and rate of each further mode
 _N = 27
 _STATES = _N + 2 * (MAX_MODES - 1)
 _SCRATCH = 4  # scratch vectors of a derivative

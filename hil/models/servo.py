@@ -79,8 +79,11 @@ def _free_substep(error, rate, share, gain, change_max):
 
 
 @kernel
-def _limited_step(position, rate, goal, kp, share, rate_max, change_max, low, high, h, n):
-    """Return position and rate of an axis after ``n`` substeps of ``h``, s, at its limits. goal: demand at zero."""
+def _limited_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, dt):
+    """Return position and rate of one axis after a step at its limits; arguments: see ``servo_step``."""
+    n = _substeps(tau, dt)
+    h = dt / n
+    share, change_max, goal = h / tau, acceleration_max * h, feedforward + kp * setpoint
     for _ in range(n):
         demand = min(rate_max, max(-rate_max, goal - kp * position))
         rate += min(change_max, max(-change_max, (demand - rate) * share))
@@ -103,19 +106,18 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
     axis stops. The step is divided into substeps well below the lag.
     """
     for i in range(position.shape[0]):
-        n = _substeps(tau[i], dt)
-        h = dt / n
-        share, change_max, gain = h / tau[i], acceleration_max[i] * h, kp[i] * h
         demand = _demand(position[i], setpoint[i], feedforward[i], kp[i])
         if _is_free(position[i], rate[i], demand, kp[i], rate_max[i], low[i], high[i], dt):
-            error = demand - rate[i]
+            n = _substeps(tau[i], dt)
+            h = dt / n
+            share, change_max, gain, error = h / tau[i], acceleration_max[i] * h, kp[i] * h, demand - rate[i]
             for _ in range(n):
                 error, rate[i] = _free_substep(error, rate[i], share, gain, change_max)
                 position[i] += rate[i] * h
         else:
             position[i], rate[i] = _limited_step(
-                position[i], rate[i], feedforward[i] + kp[i] * setpoint[i], kp[i], share, rate_max[i], change_max,
-                low[i], high[i], h, n,
+                position[i], rate[i], setpoint[i], feedforward[i], kp[i], tau[i], rate_max[i], acceleration_max[i],
+                low[i], high[i], dt,
             )  # fmt: skip
 
 
@@ -167,8 +169,8 @@ def servo_step_of_two(one, other, dt):
         for i in range(done, done + 3):  # substeps of zero duration
             lanes[3, i] = lanes[4, i] = lanes[6, i] = 0.0
         _run_substeps(lanes, max(n_one, n_other) - both)
-    _take(one, dt, n_one, 0, lanes)
-    _take(other, dt, n_other, 3, lanes)
+    _take(one, dt, 0, lanes)
+    _take(other, dt, 3, lanes)
 
 
 @kernel
@@ -183,7 +185,7 @@ def _lay_out(axes, h, first, lanes):
 
 
 @kernel
-def _take(axes, dt, n, first, lanes):
+def _take(axes, dt, first, lanes):
     """Take what ``_run_substeps`` has computed of free axes; move the others by themselves."""
     for i in range(3):
         demand = _demand(axes.position[i], axes.setpoint[i], axes.feedforward[i], axes.kp[i])
@@ -192,10 +194,9 @@ def _take(axes, dt, n, first, lanes):
         ):
             axes.position[i], axes.rate[i] = lanes[0, first + i], lanes[1, first + i]
         else:
-            h = dt / n
             axes.position[i], axes.rate[i] = _limited_step(
-                axes.position[i], axes.rate[i], axes.feedforward[i] + axes.kp[i] * axes.setpoint[i], axes.kp[i],
-                h / axes.tau[i], axes.rate_max[i], axes.acceleration_max[i] * h, axes.low[i], axes.high[i], h, n,
+                axes.position[i], axes.rate[i], axes.setpoint[i], axes.feedforward[i], axes.kp[i], axes.tau[i],
+                axes.rate_max[i], axes.acceleration_max[i], axes.low[i], axes.high[i], dt,
             )  # fmt: skip
 
 

@@ -102,6 +102,15 @@ print(result.fndesc.mangled_name)
     assert names[0] == names[1] != "", _THIS
 
 
+def test_types_of_records_are_made_by_this_program_once() -> None:
+    from hil.core import jit
+
+    layout = np.dtype([("inner", [("a", "f8")]), ("b", "i4")])
+    numba.typeof(np.zeros(2, layout))
+    assert jit._records[id(layout)][0] is layout, _THIS
+    assert id(layout["inner"]) in jit._records, f"{_THIS}: made without the function that keeps them"
+
+
 def test_module_of_an_entry_with_all_that_it_calls_lacks_no_kernel() -> None:
     from hil.core.messages import new
     from hil.loop.compiled.run_cycles import _send_setpoint
